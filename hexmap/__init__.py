@@ -29,7 +29,24 @@ _HOMES = {
     "save_map": "hexmap.files",
 }
 
-__all__ = [*sorted(_HOMES), "__version__"]
+__all__ = [
+    "HexmapError",
+    "Lattice",
+    "Map",
+    "MapBuilder",
+    "Pose",
+    "Scan",
+    "StateRule",
+    "Trajectory",
+    "VoxelList",
+    "__version__",
+    "draw_map",
+    "export",
+    "load_map",
+    "open_log",
+    "read_tum",
+    "save_map",
+]
 
 if TYPE_CHECKING:
     from hexmap.drawing import draw_map

@@ -42,7 +42,8 @@ def reduce_basis(gram: FloatArray) -> IntArray:
     tolerance = 1e-10 * float(np.trace(gram))
     for _ in range(10_000):
         products = V @ gram @ V.T
-        worst = [(products[i, j], i, j) for i, j in itertools.combinations(range(n + 1), 2) if products[i, j] > tolerance]
+        pairs = itertools.combinations(range(n + 1), 2)
+        worst = [(products[i, j], i, j) for i, j in pairs if products[i, j] > tolerance]
         if not worst:
             # An obtuse basis stays as it is; of the n + 1 choices of n vectors the first n come from the basis.
             return V[:n].T

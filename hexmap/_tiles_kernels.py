@@ -86,7 +86,6 @@ def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
 def window(low, shape, channel, bits, table, numbers, tiles, n, out):
     """Copy the counts of the box that begins at ``low`` into the flat array ``out`` (row-major)."""
     side = np.int64(1) << bits
-    mask = side - 1
     s2 = shape[2] if n == 3 else 1
     a0 = low[0] >> bits
     a1 = (low[0] + shape[0] - 1) >> bits

@@ -50,9 +50,9 @@ def pack_relative(index, low, shifts, keys):
     else:
         l0, l1, l2, s0, s1 = low[0], low[1], low[2], shifts[0], shifts[1]
         for i in range(index.shape[0]):
-            keys[i] = (
-                ((np.int64(index[i, 0]) - l0) << s0) | ((np.int64(index[i, 1]) - l1) << s1) | (np.int64(index[i, 2]) - l2)
-            )
+            a = np.int64(index[i, 0]) - l0
+            b = np.int64(index[i, 1]) - l1
+            keys[i] = (a << s0) | (b << s1) | (np.int64(index[i, 2]) - l2)
 
 
 @njit(cache=True, nogil=True)

@@ -204,12 +204,12 @@ class Lattice:
         """2 in the plane, 3 in space."""
         return len(self.basis)
 
-    @property
+    @cached_property
     def resolution(self) -> float:
         """Side of the square or cube of the same area or volume as the cell, metres."""
         return float(abs(np.linalg.det(self.basis)) ** (1.0 / self.dim))
 
-    @property
+    @cached_property
     def cell_volume(self) -> float:
         """Area (m^2) or volume (m^3) of a cell: the determinant of the basis."""
         return float(abs(np.linalg.det(self.basis)))
@@ -276,7 +276,7 @@ class Lattice:
         if raw.size == 0 and raw.ndim != 2:
             raw = raw.reshape(0, self.dim)
         if raw.ndim != 2 or raw.shape[1] != self.dim:
-            raise ArgumentError(f"points for a lattice of dimension {self.dim} must be (N, {self.dim}), not {raw.shape}")
+            raise ArgumentError(f"points for a lattice of dimension {self.dim} are (N, {self.dim}), not {raw.shape}")
         p = np.ascontiguousarray(raw, dtype=np.float64)
         out = np.empty(p.shape, dtype=np.int32)
         if len(p) and self._kernel(p, *self._kernel_arguments, out):
@@ -319,14 +319,15 @@ class Lattice:
             out = (np.abs(index) >= self.limit).any(axis=1)
             if out.any():
                 row = int(np.argmax(out))
-                raise BoundsError(f"index {row} is out of range: {tuple(int(v) for v in index[row])}, limit {self.limit}")
+                cell = tuple(int(v) for v in index[row])
+                raise BoundsError(f"index {row} is out of range: {cell}, limit {self.limit}")
         return index.astype(np.int32)
 
     def coordinates(self, points: FloatArray) -> FloatArray:
         """Return exact coordinates (N, n) in the reduced basis: multiples of 2^-32 of a cell, as quantised."""
         return np.asarray(np.rint(multiply(points, self._inverse) * 2.0**32) * 2.0**-32)
 
-    def reduced_index(self, index: NDArray[np.int32]) -> NDArray[np.int64]:
+    def reduced_index(self, index: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
         """Return indices (N, n) of the public basis in the reduced one."""
         return np.asarray(index.astype(np.int64) @ self._to_reduced.T)
 
@@ -380,7 +381,8 @@ class Lattice:
         for s in self._shells:
             if len(s) == size:
                 return s
-        raise ArgumentError(f"{self.name} has no neighbourhood of {size}; there are {', '.join(map(str, self.shell_sizes))}")
+        known = ", ".join(map(str, self.shell_sizes))
+        raise ArgumentError(f"{self.name} has no neighbourhood of {size}; there are {known}")
 
     @property
     def extended(self) -> NDArray[np.int64]:
@@ -399,12 +401,12 @@ class Lattice:
         """The Voronoi cell."""
         return Cell(self.basis, self.faces)
 
-    @property
+    @cached_property
     def inradius(self) -> float:
         """Radius of the largest ball in the cell, metres: half the shortest vector."""
         return 0.5 * float(np.linalg.norm(self.basis @ self.nearest[0]))
 
-    @property
+    @cached_property
     def covering_radius(self) -> float:
         """Distance from the centre to the farthest corner of the cell, metres."""
         return float(np.linalg.norm(self.cell.vertices, axis=1).max())
@@ -484,7 +486,8 @@ class Lattice:
             options = cells[-1] + offsets
             options = options[self.steps(options, np.broadcast_to(b, options.shape)) == total - k]
             off_line = (options - (a + (b - a) * (k / total))) @ self.basis.T
-            cells.append(options[int(np.argmin(np.round((off_line**2).sum(axis=1) / self.cell_volume ** (2 / self.dim), 9)))])
+            distance = np.round((off_line**2).sum(axis=1) / self.resolution**2, 9)
+            cells.append(options[int(np.argmin(distance))])
         return self.check_index(np.array(cells))
 
 

@@ -196,7 +196,7 @@ class Map:
 
         def cut(cells: VoxelList) -> VoxelList:
             centres = cells.centres()
-            return cells.select(((centres >= lo) & (centres <= hi)).all(axis=1))
+            return cells.select(np.all((centres >= lo) & (centres <= hi), axis=1))
 
         return Map([Level(cut(v.hits), cut(v.passes)) for v in self.levels], self.frame, self.provenance)
 
@@ -208,7 +208,8 @@ class Map:
         """
 
         def move(cells: VoxelList) -> VoxelList:
-            return VoxelList.from_cells(cells.lattice.quantise(pose.apply(cells.centres())), cells.lattice, cells.counts)
+            moved = cells.lattice.quantise(pose.apply(cells.centres()))
+            return VoxelList.from_cells(moved, cells.lattice, cells.counts)
 
         return Map([Level(move(v.hits), move(v.passes)) for v in self.levels], frame or self.frame, self.provenance)
 

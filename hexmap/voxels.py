@@ -79,7 +79,7 @@ class VoxelList:
         if raw.size == 0:
             raw = np.empty((0, lattice.dim), np.int64)
         if raw.ndim != 2 or raw.shape[1] != lattice.dim or not np.issubdtype(raw.dtype, np.integer):
-            raise ArgumentError(f"indices of {lattice.name} must be integers (M, {lattice.dim}), not {raw.dtype} {raw.shape}")
+            raise ArgumentError(f"indices must be integers (M, {lattice.dim}), not {raw.dtype} {raw.shape}")
         i = lattice.check_index(raw.astype(np.int64))
         if counts is None:
             return cls._from_index(i, lattice)
@@ -102,7 +102,7 @@ class VoxelList:
         dim = lattice.dim
         low, high = np.empty(dim, np.int64), np.empty(dim, np.int64)
         kernels.bounds(index, low, high)
-        bits = [int(h - l).bit_length() for l, h in zip(low, high, strict=True)]
+        bits = [int(b - a).bit_length() for a, b in zip(low, high, strict=True)]
         shifts = np.array([sum(bits[k + 1 :]) for k in range(dim)], dtype=np.int64)
         dtype = np.uint32 if sum(bits) <= 32 else np.uint64
         keys = np.empty(len(index), dtype)
@@ -149,14 +149,14 @@ class VoxelList:
         raw = np.asarray(index, dtype=np.int64).reshape(-1, self.lattice.dim)
         if len(self) == 0 or len(raw) == 0:
             return np.zeros(len(raw), np.int64)
-        inside = (np.abs(raw) < self.lattice.limit).all(axis=1)
+        inside = np.all(np.abs(raw) < self.lattice.limit, axis=1)
         keys = pack(np.where(inside[:, None], raw, 0).astype(np.int32))
         at = np.minimum(np.searchsorted(self.keys, keys), len(self) - 1)
         return np.where(inside & (self.keys[at] == keys), self.counts[at], 0)
 
     def contains(self, index: ArrayLike) -> NDArray[np.bool_]:
         """Tell for each of the indices (K, n) whether it is in the list."""
-        return self.find(index) > 0
+        return np.asarray(self.find(index) > 0)
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two lists are the same: lattice, points and counts."""
@@ -228,5 +228,6 @@ class VoxelList:
             return self
         low, high = self.index.min(axis=0).astype(np.int64), self.index.max(axis=0).astype(np.int64)
         if (np.abs(low + v) >= self.lattice.limit).any() or (np.abs(high + v) >= self.lattice.limit).any():
-            raise BoundsError(f"a shift by {tuple(int(x) for x in v)} leaves the range of indices, {self.lattice.limit}")
+            way = tuple(int(x) for x in v)
+            raise BoundsError(f"a shift by {way} leaves the range of indices, {self.lattice.limit}")
         return VoxelList(self.lattice, self.keys + key_delta(v.astype(np.int64)), self.counts)

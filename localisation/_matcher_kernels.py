@@ -179,7 +179,9 @@ def search(grids, flat, ends, strides, low, blocks, top, basis, radius2, turn_co
 
 
 @njit(cache=True, nogil=True)
-def refine_terms(points, pivot, cells, occupied, low, strides, shape, offsets, centres, basis, sigma2, hessian, gradient):
+def refine_terms(
+    points, pivot, cells, occupied, low, strides, shape, offsets, centres, basis, sigma2, hessian, gradient
+):
     """Accumulate the normal equations that pull ``points`` (P, n) onto the occupied cells around them.
 
     Each point meets the cells ``offsets`` (K, n) around its own cell, each occupied one a Gaussian

@@ -26,7 +26,7 @@ from localisation.matcher import CounterOccupancy, Match, ScanMatcher, SearchWin
 __all__ = ["MappingResult", "MappingSettings", "ScanMapper", "build_map", "fuse_log"]
 
 Progress = Callable[[int], None]
-OnPose = Callable[[float, Pose], None]
+OnPose = Callable[[float, Pose, bool], None]
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ class ScanMapper:
         self.unmatched = 0
         self.part_sum = 0.0
 
-    def add(self, event: Event) -> Iterator[tuple[float, Pose]]:
-        """Take the next event; yield stamp and T_map_robot of all readings whose pose is now final.
+    def add(self, event: Event) -> Iterator[tuple[float, Pose, bool]]:
+        """Take the next event; yield stamp, T_map_robot and "is a scan" of all readings whose pose is now final.
 
         Poses of odometry readings between two scans are final only after the second: they get
         their share of its correction.
@@ -190,17 +190,18 @@ class ScanMapper:
         T_map_robot = self._match(event, predicted)
         correction = predicted.inverse() @ T_map_robot
         for k, (stamp, pose) in enumerate(self._waiting):
-            yield stamp, pose @ _part_of(correction, (k + 1) / (len(self._waiting) + 1))
+            yield stamp, pose @ _part_of(correction, (k + 1) / (len(self._waiting) + 1)), False
         self._waiting.clear()
-        yield event.stamp, T_map_robot
+        yield event.stamp, T_map_robot, True
         self._last_motion = self._T_map_robot.inverse() @ T_map_robot
         self._T_map_robot = T_map_robot
         if odometry is not None:
             self._T_odom_robot = odometry
 
-    def finish(self) -> Iterator[tuple[float, Pose]]:
+    def finish(self) -> Iterator[tuple[float, Pose, bool]]:
         """Yield the readings after the last scan, at their predicted poses."""
-        yield from self._waiting
+        for stamp, pose in self._waiting:
+            yield stamp, pose, False
         self._waiting.clear()
 
     def _predict(self, odometry: Pose) -> Pose:
@@ -216,7 +217,7 @@ class ScanMapper:
         usable = scan.points[(ranges >= settings.min_range) & (ranges <= _limit(settings.max_range))]
         T_map_robot = predicted
         if self.builder.scans > 0 and len(usable):
-            found = self._matcher.match(self.mount.apply(usable), predicted, self._coarse, fine=self._fine)
+            found = self._search(self.mount.apply(usable), predicted)
             self.last_match = found
             if found is None:
                 self.unmatched += 1
@@ -226,6 +227,34 @@ class ScanMapper:
                 T_map_robot = found.pose
         self.builder.fuse(scan, T_map_robot @ self.mount)
         return T_map_robot
+
+
+    def _search(self, points: np.ndarray, predicted: Pose) -> Match | None:
+        """Match in the window; where most of the scan then disagrees with the map, look farther.
+
+        Wheels that slip or a laser that skips a turn put the true pose outside any window that is
+        fast for every scan. A scan that enters a new room disagrees as well, and there a wide
+        window finds chance agreements: a wider search must beat the narrower one clearly.
+        """
+        best: Match | None = None
+        for factor in WIDENING:
+            window = SearchWindow(
+                self.settings.search_metres * factor, min(self.settings.search_radians * factor, math.pi)
+            )
+            found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
+            if found is not None and (best is None or found.score > CLEARLY * best.score):
+                best = found
+            if best is not None and best.part >= ENOUGH:
+                break
+        return best
+
+
+# A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
+WIDENING = (1.0, 2.0, 4.0)
+ENOUGH = 0.5
+# The number of coincident cells of a scan that half agrees scatters by about a tenth (the square
+# root of some hundred cells): two and a half times that is no chance.
+CLEARLY = 1.25
 
 
 def _limit(max_range: float | None) -> float:
@@ -287,8 +316,8 @@ def build_map(
     Args:
         log: an open log (``hexmap.logs.open_log``).
         settings: all settings; the defaults serve every log we know.
-        on_pose: called with stamp and T_map_robot of every laser and odometry reading, in the
-            log's order.
+        on_pose: called with stamp, T_map_robot and whether it is a scan's, for every laser and
+            odometry reading in the log's order.
         progress: called after each scan with the number of scans so far.
 
     Returns:
@@ -303,14 +332,14 @@ def build_map(
     for event in log:
         if mapper is None:
             mapper = ScanMapper(settings, log.mount)
-        for stamp, pose in mapper.add(event):
-            way.add(stamp, pose)
+        for reading in mapper.add(event):
+            way.add(*reading)
         if progress is not None and isinstance(event, Scan):
             progress(mapper.builder.scans)
     if mapper is None:
         raise LogError(f"{log.path}: there is no laser reading in it")
-    for stamp, pose in mapper.finish():
-        way.add(stamp, pose)
+    for reading in mapper.finish():
+        way.add(*reading)
     return MappingResult(
         map=mapper.builder.build(source=_source(log, settings, "scan matching")),
         scans=mapper.builder.scans,
@@ -332,12 +361,12 @@ class _Way:
         self._last: Pose | None = None
         self.metres = 0.0
 
-    def add(self, stamp: float, pose: Pose) -> None:
+    def add(self, stamp: float, pose: Pose, is_scan: bool) -> None:
         if self._last is not None:
             self.metres += math.dist(self._last.translation, pose.translation)
         self._last = pose
         if self._on_pose is not None:
-            self._on_pose(stamp, pose)
+            self._on_pose(stamp, pose, is_scan)
 
 
 def fuse_log(
@@ -347,6 +376,7 @@ def fuse_log(
     *,
     associate: str | None = None,
     tolerance: float = 0.1,
+    on_pose: OnPose | None = None,
     progress: Progress | None = None,
 ) -> MappingResult:
     """Map a log whose poses (T_map_robot) are known.
@@ -370,14 +400,15 @@ def fuse_log(
     each_scan, each_event = len(poses) == scans, len(poses) == scans + odometry
     if associate == "order" and not (each_scan or each_event):
         raise TrajectoryError(
-            f"{len(poses)} poses do not go by order with {scans} scans, or {scans + odometry} readings in all, of {log.path}"
+            f"{len(poses)} poses do not go by order with the {scans} scans of {log.path}, "
+            f"nor with its {scans + odometry} readings"
         )
     by_order = associate != "time" and (each_scan or each_event)
     builder = make_builder(settings)
     mount = make_mount(settings, log.mount)
-    skipped = seen = at = 0
-    way = _Way(None)
-    for event in log:
+    skipped = seen = 0
+    way = _Way(on_pose)
+    for at, event in enumerate(log):
         if isinstance(event, Scan):
             pose: Pose | None
             if by_order:
@@ -388,12 +419,11 @@ def fuse_log(
             if pose is None:
                 skipped += 1
             else:
-                way.add(event.stamp, pose)
+                way.add(event.stamp, pose, True)
                 builder.fuse(event, pose @ mount)
             seen += 1
             if progress is not None:
                 progress(seen)
-        at += 1
     if builder.scans == 0:
         raise TrajectoryError(
             f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {scans} scans of {log.path}"

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.arrays import multiply
 from hexmap.errors import ArgumentError
 from hexmap.lattice import Lattice
 from hexmap.maps import Map, StateRule
@@ -51,7 +50,7 @@ class CounterOccupancy:
     """The occupied cells of a map that is being built, by the rule that finished maps use."""
 
     counter: CellCounter
-    rule: StateRule = StateRule()
+    rule: StateRule = field(default_factory=StateRule)
 
     @property
     def lattice(self) -> Lattice:
@@ -209,7 +208,7 @@ class ScanMatcher:
             return None
         window = window or self.window
         turns = self.rotations(p, lattice, window.radians)
-        rotations = np.array([_product(turn, predicted.rotation) for turn in turns])
+        rotations = _product(turns, predicted.rotation)
         found = self._search(p, rotations, turns, predicted, world, window)
         if found is None:
             return None
@@ -226,7 +225,7 @@ class ScanMatcher:
         world: Occupancy,
         window: SearchWindow,
     ) -> tuple[Pose, int, int, int] | None:
-        """Score every rotation and every shift of the window; return the best pose, its score and cells, and the work."""
+        """Score every rotation and shift of the window; return the best pose, its score and cells, and the work."""
         from localisation import _matcher_kernels as kernels
 
         lattice = world.lattice
@@ -299,7 +298,7 @@ class ScanMatcher:
                     return start
                 # A little damping keeps directions that the scan says nothing about where they are.
                 step = np.linalg.solve(hessian + np.eye(size) * (1e-6 * trace), gradient)
-                R = _exponential(step[n:]) if n == 3 else Pose.planar(0.0, 0.0, float(step[2])).rotation
+                R = _exponential(np.array(step[n:])) if n == 3 else Pose.planar(0.0, 0.0, float(step[2])).rotation
                 pose = Pose._trusted(_product(R, pose.rotation), pose.translation + step[:n])
                 if np.abs(step).max() < 0.002 * fine.resolution:
                     break
@@ -316,8 +315,14 @@ def _farthest(points: FloatArray) -> float:
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the product of two rotations, rounded the same way on every machine."""
-    return multiply(b.T.copy(), a).T.copy()
+    """Return the products (..., n, n) of rotations ``a`` (..., n, n) with ``b`` (n, n), entry by entry.
+
+    Written out for the same reason as in :func:`hexmap.arrays.multiply`.
+    """
+    out = np.zeros(a.shape)
+    for i, j, k in itertools.product(range(len(b)), repeat=3):
+        out[..., i, j] += a[..., i, k] * b[k, j]
+    return out
 
 
 def _turned(p: FloatArray, rotations: FloatArray, translation: FloatArray) -> FloatArray:
@@ -357,9 +362,12 @@ def _angles(turns: FloatArray) -> FloatArray:
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
+@lru_cache(maxsize=64)
 def shifts_in_ball(lattice: Lattice, metres: float) -> IntArray:
     """Return the lattice vectors (K, n) no longer than ``metres``, lexicographically: the shifts of a window."""
     reach = np.ceil(metres * np.linalg.norm(np.linalg.inv(lattice.basis), axis=1)).astype(np.int64)
     grids = np.meshgrid(*[np.arange(-r, r + 1) for r in reach], indexing="ij")
     offsets = np.stack([g.ravel() for g in grids], axis=1)
-    return offsets[(lattice.centres(offsets) ** 2).sum(axis=1) <= (metres * (1.0 + 1e-12)) ** 2]
+    offsets = offsets[(lattice.centres(offsets) ** 2).sum(axis=1) <= (metres * (1.0 + 1e-12)) ** 2]
+    offsets.setflags(write=False)
+    return offsets

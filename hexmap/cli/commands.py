@@ -1,0 +1,78 @@
+"""All commands in one table of contents, and the one place that turns errors into lines and exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from hexmap.cli import mapping, viewing
+from hexmap.errors import HexmapError
+
+__all__ = ["app", "run"]
+
+app = typer.Typer(
+    name="hexmap",
+    help="Maps and paths on square, hexagonal, cubic, FCC and BCC lattices, from laser logs.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(mapping.demo)
+app.command()(mapping.simulate)
+app.command()(mapping.build)
+app.command()(mapping.merge)
+app.command()(mapping.evaluate)
+app.command()(viewing.info)
+app.command()(viewing.lattices)
+app.command()(viewing.show)
+app.command()(viewing.export)
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+) -> None:
+    if version:
+        from hexmap import __version__
+
+        typer.echo(f"hexmap {__version__}")
+        raise typer.Exit
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command that ``arguments`` name; return the exit code."""
+    try:
+        code = app(args=arguments, prog_name="hexmap", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except HexmapError as error:
+        return _fail(str(error))
+    except BrokenPipeError:
+        # The reader of our output left (hexmap info m.parquet | head); keep the interpreter from saying so again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except MemoryError:
+        return _fail("not enough memory for this; take a coarser resolution or fewer levels")
+    except OSError as error:
+        return _fail(f"{error.filename or 'a file'}: {error.strerror or error}")
+    except Exception as error:
+        # Wrong usage: the parser's own errors know their code and their text.
+        if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+            text = error.format_message()
+            if text:
+                command = getattr(getattr(error, "ctx", None), "command_path", "hexmap")
+                sys.stderr.write(f"hexmap: {' '.join(text.split())} (see: {command} --help)\n")
+            return int(error.exit_code)
+        if type(error).__name__ == "Abort":
+            raise KeyboardInterrupt from error
+        raise
+
+
+def _fail(text: str) -> int:
+    sys.stderr.write(f"hexmap: {' '.join(text.split())}\n")
+    return 1

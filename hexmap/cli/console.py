@@ -1,0 +1,101 @@
+"""What the commands share: a progress line, notes, checks of outputs before long work begins."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+from hexmap.errors import ArgumentError, FileAccessError
+
+__all__ = ["check_outputs", "first_run_note", "progress_line", "say", "warn", "wrote"]
+
+
+def say(text: str) -> None:
+    """Print a line of the result."""
+    typer.echo(text)
+
+
+def warn(text: str) -> None:
+    """Print a warning to standard error."""
+    typer.echo(f"warning: {text}", err=True)
+
+
+def wrote(path: Path | str, what: str) -> None:
+    """Say what was written, and where."""
+    typer.echo(f"wrote {path}  ({what})")
+
+
+def check_outputs(outputs: dict[str, Path | None], inputs: tuple[Path, ...] = ()) -> None:
+    """Check before the work begins that every output can be written and that none is another or an input.
+
+    Args:
+        outputs: option name -> path, None where it is not asked for.
+        inputs: files that are read.
+
+    Raises:
+        FileAccessError: a folder does not exist or cannot be written to.
+        ArgumentError: two outputs, or an output and an input, are the same file.
+    """
+    seen: dict[str, str] = {}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        folder = path.parent
+        if not folder.is_dir():
+            raise FileAccessError(f"{path}: cannot be written: there is no folder {folder}")
+        if path.is_dir():
+            raise FileAccessError(f"{path}: cannot be written: it is a folder")
+        if not os.access(folder, os.W_OK):
+            raise FileAccessError(f"{path}: cannot be written: the folder is write-protected")
+        real = os.path.realpath(path)
+        if real in seen:
+            raise ArgumentError(f"{seen[real]} and {option} are the same file: {path}")
+        seen[real] = option
+    for path in inputs:
+        option_of = seen.get(os.path.realpath(path))
+        if option_of is not None:
+            raise ArgumentError(f"{option_of} would overwrite what is read: {path}")
+
+
+def first_run_note() -> None:
+    """Say, on a terminal, that the kernels are being compiled, where no compiled one is found."""
+    if not sys.stderr.isatty():
+        return
+    from hexmap import _lattice_kernels
+
+    cache = getattr(getattr(_lattice_kernels.quantise_2d, "_cache", None), "cache_path", None)
+    if cache is not None and not any(Path(cache).glob("*quantise_2d*.nbi")):
+        typer.echo("compiling the kernels; this happens once and takes some 20 seconds", err=True)
+
+
+@contextmanager
+def progress_line(what: str, fraction: Callable[[], float]) -> Iterator[Callable[[int], None]]:
+    """Show scans a second and the time left, on a terminal only; yields what to call after each scan."""
+    if not sys.stderr.isatty():
+        yield lambda scans: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %  {task.fields[scans]} scans, {task.fields[rate]:.0f} a second, left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0, scans=0, rate=0.0)
+        begin = time.monotonic()
+
+        def update(scans: int) -> None:
+            if scans % 10 == 0:
+                rate = scans / max(time.monotonic() - begin, 1e-6)
+                bar.update(task, completed=fraction(), scans=scans, rate=rate)
+
+        yield update

@@ -1,0 +1,361 @@
+"""Commands that make things: demo, simulate, build, merge, evaluate."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
+
+if TYPE_CHECKING:
+    from localisation.evaluation import ErrorStatistics
+    from localisation.mapping import MappingSettings
+
+
+class Associate(StrEnum):
+    """How two lists of poses go together."""
+
+    time = "time"
+    order = "order"
+
+
+class Readings(StrEnum):
+    """Which readings get a pose in a trajectory file."""
+
+    all = "all"
+    scans = "scans"
+
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="Where to write it.")]
+
+
+def simulate(
+    world: Annotated[str, typer.Argument(help="office, castle or room.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The CARMEN log to write (.gz: compressed).")],
+    truth: Annotated[Path | None, typer.Option(help="Where to write the true poses (TUM).")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of noise and drift.")] = 0,
+    beams: Annotated[int, typer.Option(help="Beams of the laser over 180 degrees.")] = 181,
+    duration: Annotated[float | None, typer.Option(help="Stop after so many seconds of the drive.")] = None,
+) -> None:
+    """Simulate a drive through a building: a laser log with odometry that drifts, and the true poses."""
+    from hexmap.simulator import Laser, write_log
+    from hexmap.simulator import world as find_world
+
+    check_outputs({"--output": output, "--truth": truth})
+    summary = write_log(output, find_world(world), truth, laser=Laser(beams=beams), seed=seed, duration=duration)
+    wrote(
+        output,
+        f"{summary.scans} scans, {summary.odometry} odometry readings, "
+        f"{summary.metres:.1f} m in {summary.seconds:.0f} s",
+    )
+    if truth is not None:
+        wrote(truth, "true poses, one for each reading")
+
+
+def build(
+    log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
+    lattice: Annotated[str | None, typer.Option(help="Z2 or A2.", show_default="A2")] = None,
+    resolution: Annotated[
+        float | None, typer.Option(help="Side, m, of the square as large as a cell.", show_default="0.05")
+    ] = None,
+    levels: Annotated[int | None, typer.Option(help="Levels at doubling resolution.", show_default="3")] = None,
+    trajectory: Annotated[Path | None, typer.Option(help="Where to write the poses (TUM).")] = None,
+    trajectory_of: Annotated[Readings, typer.Option(help="Poses of all readings or of the scans.")] = Readings.all,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the map (.png, .svg, .pdf).")] = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) to fuse at, instead of matching.")] = None,
+    associate: Annotated[
+        Associate | None, typer.Option(help="How --poses go with scans.", show_default="order where the numbers agree")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings: JSON of `hexmap info --config`, or a map.")] = None,
+    min_range: Annotated[float | None, typer.Option(help="Leave out points nearer than this, m.")] = None,
+    max_range: Annotated[float | None, typer.Option(help="Leave out points farther than this, m.")] = None,
+    clear_no_return: Annotated[float | None, typer.Option(help="Metres that a beam without return clears.")] = None,
+    mount: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="Laser on the robot: x m, y m, heading degrees.")
+    ] = None,
+    search_metres: Annotated[float | None, typer.Option(help="Search radius of the matcher.")] = None,
+    search_degrees: Annotated[float | None, typer.Option(help="Search angle of the matcher, to both sides.")] = None,
+    search_level: Annotated[int | None, typer.Option(help="Level that the matcher searches on.")] = None,
+    odometry: Annotated[bool | None, typer.Option(help="Predict the motion by odometry.", show_default="on")] = None,
+    min_hits: Annotated[int | None, typer.Option(help="Hits that make a cell occupied.")] = None,
+    min_ratio: Annotated[float | None, typer.Option(help="Part of hits that makes a cell occupied.")] = None,
+    angle_min: Annotated[float | None, typer.Option(help="Direction of the first beam, degrees.")] = None,
+    angle_step: Annotated[float | None, typer.Option(help="Angle between beams, degrees.")] = None,
+    no_return: Annotated[float | None, typer.Option(help="Ranges from here on mean no return, m.")] = None,
+    laser: Annotated[str | None, typer.Option(help="front or rear, where a log has both.")] = None,
+    scan_topic: Annotated[str | None, typer.Option(help="Topic of the laser in a bag.")] = None,
+    odometry_topic: Annotated[str | None, typer.Option(help="Topic of the odometry in a bag.")] = None,
+) -> None:
+    """Build a map from a laser log: match every scan, or take given poses, and fuse."""
+    from hexmap.drawing import check_picture
+    from hexmap.logs import open_log
+    from hexmap.trajectory import read_tum
+
+    check_outputs(
+        {"--output": output, "--trajectory": trajectory, "--picture": picture},
+        tuple(p for p in (log, poses, config) if p is not None),
+    )
+    if picture is not None:
+        check_picture(picture)
+    settings = _settings(
+        config,
+        lattice=lattice,
+        resolution=resolution,
+        levels=levels,
+        min_range=min_range,
+        max_range=max_range,
+        clear_no_return=clear_no_return,
+        mount=None if mount is None else (mount[0], mount[1], math.radians(mount[2])),
+        search_metres=search_metres,
+        search_radians=None if search_degrees is None else math.radians(search_degrees),
+        search_level=search_level,
+        use_odometry=odometry,
+        rule={"min_hits": min_hits, "min_ratio": min_ratio},
+        log={
+            "angle_min": None if angle_min is None else math.radians(angle_min),
+            "angle_step": None if angle_step is None else math.radians(angle_step),
+            "no_return": no_return,
+            "laser": laser,
+            "scan_topic": scan_topic,
+            "odometry_topic": odometry_topic,
+        },
+    )
+    source = open_log(log, settings.log)
+    given = read_tum(poses) if poses is not None else None
+    first_run_note()
+    _build(source, settings, output, trajectory, trajectory_of, picture, given, associate)
+
+
+def _settings(config: Path | None, **options: Any) -> MappingSettings:
+    """Return the settings of a configuration file, or the defaults, with the options that were given."""
+    from localisation.mapping import MappingSettings
+
+    values = _read_config(config) if config is not None else {}
+    for name, value in options.items():
+        if isinstance(value, dict):
+            given = {k: v for k, v in value.items() if v is not None}
+            if given:
+                values[name] = {**values.get(name, {}), **given}
+        elif value is not None:
+            values[name] = value
+    if "levels" in values and "search_level" not in values:
+        # A map of one level is searched on that one.
+        values["search_level"] = min(1, int(values["levels"]) - 1)
+    return MappingSettings.from_dict(values)
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    """Return the settings in a JSON file (what ``info --config`` prints) or in a map.
+
+    Raises:
+        FormatError: it is neither, or the map came from more than one log.
+    """
+    import json
+
+    from hexmap.errors import FileAccessError, FormatError
+    from hexmap.files import load_map
+
+    try:
+        head = path.open("rb").read(4)
+        if head == b"PAR1":
+            settings = [s["settings"] for s in load_map(path).sources() if "settings" in s]
+            if len(settings) != 1 and any(s != settings[0] for s in settings):
+                raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")
+            if not settings:
+                raise FormatError(f"{path}: the map does not say how it was made")
+            value = settings[0]
+        else:
+            value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileAccessError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: neither JSON nor a map of hexmap") from error
+    except json.JSONDecodeError as error:
+        raise FormatError(f"{path}: line {error.lineno}: not JSON: {error.msg}") from error
+    if not isinstance(value, dict):
+        raise FormatError(f"{path}: a configuration is a JSON object")
+    return value
+
+
+def _build(
+    source: Any,
+    settings: MappingSettings,
+    output: Path,
+    trajectory: Path | None,
+    trajectory_of: Readings,
+    picture: Path | None,
+    given: Any,
+    associate: Associate | None,
+) -> Any:
+    """Build, write and report; returns the result."""
+    from contextlib import ExitStack
+
+    from hexmap.files import save_map
+    from hexmap.trajectory import TumWriter
+    from localisation.mapping import build_map, fuse_log
+
+    begin = time.monotonic()
+    drawn: list[tuple[float, float]] = []
+    with ExitStack() as stack:
+        writer = stack.enter_context(TumWriter(trajectory)) if trajectory is not None else None
+
+        def on_pose(stamp: float, pose: Any, is_scan: bool) -> None:
+            if writer is not None and (is_scan or trajectory_of is Readings.all):
+                writer.append(stamp, pose)
+            if picture is not None and is_scan:
+                drawn.append((pose.x, pose.y))
+
+        with progress_line("mapping", source.fraction) as progress:
+            if given is None:
+                result = build_map(source, settings, on_pose=on_pose, progress=progress)
+            else:
+                how = None if associate is None else associate.value
+                result = fuse_log(source, given, settings, associate=how, on_pose=on_pose, progress=progress)
+        seconds = time.monotonic() - begin
+        save_map(output, result.map)
+    for text in result.warnings:
+        warn(text)
+    how = "given poses" if given is not None else f"{result.mean_part:.0%} of a scan's cells coincide on average"
+    say(
+        f"{result.scans} scans, {result.odometry} odometry readings, {result.metres:.1f} m, "
+        f"in {seconds:.1f} s ({1000 * seconds / max(result.scans, 1):.1f} ms a scan); {how}"
+    )
+    if result.skipped:
+        warn(f"{source.path}: {result.skipped} scans have no pose and were left out")
+    if result.unmatched:
+        warn(f"{source.path}: {result.unmatched} scans coincide with nothing and kept their predicted pose")
+    hits = len(result.map.levels[0].hits)
+    wrote(output, f"{len(result.map.levels)} levels, {hits} cells hit, {result.map.lattice.title}")
+    if trajectory is not None:
+        wrote(trajectory, f"poses of {'all readings' if trajectory_of is Readings.all else 'the scans'}, TUM")
+    if picture is not None:
+        from hexmap.drawing import draw_map
+
+        draw_map(result.map, picture, trajectory=drawn, rule=settings.rule)
+        wrote(picture, "picture")
+    return result
+
+
+def merge(
+    maps: Annotated[list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
+) -> None:
+    """Merge maps cell by cell; the order does not matter."""
+    from hexmap.errors import ArgumentError, LatticeError
+    from hexmap.files import load_map, save_map
+
+    if len(maps) < 2:
+        raise ArgumentError("merging takes two maps or more")
+    check_outputs({"--output": output}, tuple(maps))
+    merged = load_map(maps[0])
+    for path in maps[1:]:
+        try:
+            merged = merged.merge(load_map(path))
+        except (LatticeError, ArgumentError) as error:
+            raise type(error)(f"{path}: cannot be merged with {maps[0]}: {error}") from error
+    save_map(output, merged)
+    wrote(output, f"{len(maps)} maps merged, {len(merged.levels[0].hits)} cells hit")
+
+
+def evaluate(
+    trajectory: Annotated[Path, typer.Argument(help="The poses to judge (TUM).")],
+    relations: Annotated[Path | None, typer.Option(help="True relative poses (Kuemmerle 2009).")] = None,
+    reference: Annotated[Path | None, typer.Option(help="True poses (TUM).")] = None,
+    associate: Annotated[Associate, typer.Option(help="How poses go with the reference.")] = Associate.time,
+    tolerance: Annotated[float, typer.Option(help="Seconds that associated stamps may differ.")] = 0.1,
+    step: Annotated[float, typer.Option(help="Distance of the pairs for the relative error, m.")] = 1.0,
+) -> None:
+    """Score a trajectory: relations, or absolute error after rigid alignment and relative error."""
+    from hexmap.errors import ArgumentError
+    from hexmap.trajectory import read_relations, read_tum
+    from localisation.evaluation import absolute_error, evaluate_relations, relative_error
+
+    if relations is None and reference is None:
+        raise ArgumentError("evaluate takes --relations or --reference, or both")
+    poses = read_tum(trajectory)
+    if relations is not None:
+        score = evaluate_relations(poses, read_relations(relations), tolerance)
+        say(f"relations: {score.used} used, {score.skipped} without poses near enough in time")
+        _report("translation", score.translation, "m")
+        _report("rotation", score.rotation_deg, "deg")
+    if reference is not None:
+        truth = read_tum(reference)
+        ate = absolute_error(truth, poses, associate.value, tolerance)
+        say(f"absolute error after rigid alignment: {ate.used} poses used, {ate.skipped} left out")
+        _report("translation", ate.translation, "m")
+        _report("rotation", ate.rotation_deg, "deg")
+        rpe = relative_error(truth, poses, step, "metres", associate.value, tolerance)
+        say(f"relative error over {step:g} m: {rpe.used} pairs")
+        _report("translation", rpe.translation, "m")
+        _report("rotation", rpe.rotation_deg, "deg")
+
+
+def _report(what: str, s: ErrorStatistics, unit: str) -> None:
+    say(f"  {what:<12} mean {s.mean:.4f}  rmse {s.rmse:.4f}  median {s.median:.4f}  max {s.max:.4f} {unit}")
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write to.")] = Path("demo"),
+    lattice: Annotated[str, typer.Option(help="Z2 or A2.")] = "A2",
+    seed: Annotated[int, typer.Option(help="Seed of noise and drift.")] = 0,
+) -> None:
+    """Simulate an office and a drive through it, map it from the log alone, draw it and score it."""
+    import numpy as np
+
+    from hexmap.drawing import draw_map
+    from hexmap.errors import FileAccessError
+    from hexmap.files import load_map
+    from hexmap.logs import open_log
+    from hexmap.simulator import world, write_log
+    from hexmap.trajectory import Trajectory, read_tum
+    from localisation.evaluation import absolute_error
+    from localisation.mapping import MappingSettings
+
+    settings = replace(MappingSettings(), lattice=lattice)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"{output}: cannot be made: {error.strerror}") from error
+    log, truth = output / "office.clf", output / "office.truth.tum"
+    summary = write_log(log, world("office"), truth, seed=seed)
+    say(f"simulated {summary.metres:.0f} m through an office in {summary.seconds:.0f} s: {summary.scans} scans")
+    wrote(log, "CARMEN log")
+    wrote(truth, "true poses")
+    first_run_note()
+    path, poses, picture = output / "office.parquet", output / "office.tum", output / "office.png"
+    _build(open_log(log), settings, path, poses, Readings.all, picture, None, None)
+    detail, coarse = output / "office-detail.png", output / "office-coarse.png"
+    world_map = load_map(path)
+    low, high = world_map.bounds() or (np.zeros(2), np.zeros(2))
+    low = low + 0.35 * (high - low)
+    draw_map(world_map.crop(low, low + 5.0), detail, rule=settings.rule)
+    wrote(detail, "5 x 5 m of it")
+    draw_map(world_map, coarse, level=2, rule=settings.rule)
+    wrote(coarse, "the coarsest level")
+    estimate, reference = read_tum(poses), read_tum(truth)
+    wheels = Trajectory.from_poses(*_odometry(log))
+    raw = absolute_error(reference, wheels, "order")
+    matched = absolute_error(reference, estimate, "order")
+    say(
+        f"mean error of the poses: {matched.translation.mean:.3f} m and {matched.rotation_deg.mean:.2f} degrees "
+        f"(odometry alone: {raw.translation.mean:.3f} m, {raw.rotation_deg.mean:.2f} degrees)"
+    )
+
+
+def _odometry(log: Path) -> tuple[list[float], list[Any]]:
+    """Return stamps and poses of the odometry of every reading of a log."""
+    from hexmap.logs import open_log
+    from hexmap.scan import Scan
+
+    stamps, poses = [], []
+    for event in open_log(log):
+        stamps.append(event.stamp)
+        poses.append(event.odometry if isinstance(event, Scan) else event.pose)
+    return stamps, poses

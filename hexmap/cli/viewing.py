@@ -1,0 +1,129 @@
+"""Commands that look at things: info, lattices, show, export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hexmap.cli.console import check_outputs, say, wrote
+
+if TYPE_CHECKING:
+    from hexmap.maps import StateRule
+
+MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
+LevelOption = Annotated[int, typer.Option(help="Level of the map, 0 is the finest.")]
+MinHits = Annotated[int | None, typer.Option(help="Hits that make a cell occupied.", show_default="as mapped")]
+MinRatio = Annotated[float | None, typer.Option(help="Part of hits that does.", show_default="as mapped")]
+
+
+def info(
+    map: MapFile,
+    config: Annotated[bool, typer.Option("--config", help="Print only its settings, as JSON.")] = False,
+) -> None:
+    """Say what a map holds and where it came from."""
+    import json
+
+    from hexmap.errors import ArgumentError
+    from hexmap.files import load_map
+
+    world = load_map(map)
+    sources = world.sources()
+    if config:
+        settings = [s["settings"] for s in sources if "settings" in s]
+        if not settings or any(s != settings[0] for s in settings):
+            raise ArgumentError(f"{map}: made with {len(settings)} configurations, not with one")
+        say(json.dumps(settings[0], indent=2))
+        return
+    lattice = world.lattice
+    say(f"{map}: a map on the {lattice.title} lattice ({lattice.name}), frame {world.frame!r}")
+    say("level  resolution    hit cells       hits  passed cells      occupied          free")
+    for k, level in enumerate(world.levels):
+        states = world.state(_rule(None, None, world.sources()), level=k)
+        say(
+            f"{k:5d}  {level.lattice.resolution:8.4g} m {len(level.hits):12,d} {level.hits.total:10,d} "
+            f"{len(level.passes):13,d} {len(states.occupied):13,d} {len(states.free):13,d}"
+        )
+    corners = world.bounds()
+    if corners is not None:
+        say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
+    for source in sources:
+        say(f"from {source.get('log', 'unknown')} ({source.get('format', 'unknown')}), poses: {source.get('poses')}")
+        say("versions: " + ", ".join(f"{k} {v}" for k, v in source.get("versions", {}).items()))
+        say("configuration (for --config):")
+        say(json.dumps(source.get("settings"), indent=2))
+
+
+def lattices() -> None:
+    """Print the paper's Table I and what each lattice is worth, computed from its cell."""
+    from hexmap.lattice import NAMES, Lattice
+
+    say(
+        f"{'':6}{'lattice':<21}{'near':>5}{'faces':>6}{'symm.':>6}{'moment':>10}{'error':>9}"
+        f"{'packing':>9}{'covering':>10}{'in':>8}{'out':>8}"
+    )
+    for name in NAMES:
+        cells = Lattice.named(name)
+        say(
+            f"{name:<6}{cells.title:<21}{len(cells.nearest):5d}{len(cells.faces):6d}{len(cells.point_group):6d}"
+            f"{cells.cell.second_moment:10.6f}{cells.cell.mean_error:9.4f}{cells.packing_density:9.4f}"
+            f"{cells.covering_thickness:10.4f}{cells.inradius:8.4f}{cells.covering_radius:8.4f}"
+        )
+    say("")
+    say("All at equal cell area or volume (resolution 1). near: nearest neighbours, all equally far;")
+    say("faces: cells that share a face; symm.: order of the point group; moment: dimensionless second")
+    say("moment; error: mean distance to the centre; packing, covering: density of the balls in and")
+    say("around the cells; in, out: their radii.")
+
+
+def show(
+    map: MapFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write (.png, .svg, .pdf).")],
+    level: LevelOption = 0,
+    trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
+    min_hits: MinHits = None,
+    min_ratio: MinRatio = None,
+) -> None:
+    """Draw a map with its true cells."""
+    from hexmap.drawing import check_picture, draw_map
+    from hexmap.files import load_map
+    from hexmap.trajectory import read_tum
+
+    check_outputs({"--output": output}, (map,) if trajectory is None else (map, trajectory))
+    check_picture(output)
+    world = load_map(map)
+    way = read_tum(trajectory) if trajectory is not None else None
+    draw_map(world, output, level=level, trajectory=way, rule=_rule(min_hits, min_ratio, world.sources()))
+    wrote(output, f"level {level}, {world.level(level).lattice.resolution:g} m")
+
+
+def export(
+    map: MapFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help=".yaml (ROS map_server, with .pgm), .csv or .ply (points).")
+    ],
+    level: LevelOption = 0,
+    min_hits: MinHits = None,
+    min_ratio: MinRatio = None,
+) -> None:
+    """Write a map in a format that other programs read."""
+    from hexmap.exports import export as export_map
+    from hexmap.files import load_map
+
+    check_outputs({"--output": output}, (map,))
+    world = load_map(map)
+    for path in export_map(world, output, level=level, rule=_rule(min_hits, min_ratio, world.sources())):
+        wrote(path, f"level {level}, {world.level(level).lattice.resolution:g} m")
+
+
+def _rule(min_hits: int | None, min_ratio: float | None, sources: list[dict[str, object]]) -> StateRule:
+    """Return the rule the map was made with where all its sources agree, with what is set here instead."""
+    from dataclasses import replace
+
+    from hexmap.maps import StateRule
+
+    rules = [s["settings"]["rule"] for s in sources if isinstance(s.get("settings"), dict) and "rule" in s["settings"]]  # type: ignore[index,operator]
+    rule = StateRule(**rules[0]) if rules and all(r == rules[0] for r in rules) else StateRule()
+    changes = {k: v for k, v in (("min_hits", min_hits), ("min_ratio", min_ratio)) if v is not None}
+    return replace(rule, **changes)  # type: ignore[arg-type]
