@@ -96,9 +96,10 @@ def polytope_vertices(A: FloatArray, b: FloatArray) -> FloatArray:
     size = np.linalg.norm(planes, axis=2).prod(axis=1)
     groups = groups[np.abs(np.linalg.det(planes)) > 1e-9 * size]
     x = np.linalg.solve(A[groups], b[groups][:, :, None])[:, :, 0]
-    scale = float(np.abs(x).max()) + 1e-300
-    slack = 1e-9 * (np.abs(b).max() + np.linalg.norm(A, axis=1) * scale)
+    # Nearly parallel planes meet far away: what is near enough is a matter of each point's own size.
+    slack = 1e-9 * (np.abs(b).max() + np.abs(x).max(axis=1)[:, None] * np.linalg.norm(A, axis=1))
     x = x[(x @ A.T <= b + slack).all(axis=1)]
+    scale = float(np.abs(x).max(initial=0.0)) + 1e-300
     kept: list[FloatArray] = []
     for p in x:
         if all(np.abs(p - q).max() > 1e-7 * scale for q in kept):
@@ -197,7 +198,7 @@ def primitive_vectors(gram: FloatArray, to_reduced: IntArray, count: int) -> tup
     in the reduced basis, where short vectors have small coordinates.
     """
     n = len(gram)
-    reduced = box_vectors(n, 4)
+    reduced = box_vectors(n, 8)  # of 1 x 100 cells the 26 shortest reach to 7
     reduced = reduced[np.gcd.reduce(reduced, axis=1) == 1]
     public = np.rint(reduced @ np.linalg.inv(to_reduced).T).astype(np.int64)
     lengths = norms(public, gram)
@@ -226,8 +227,9 @@ def point_group(gram: FloatArray, candidates: IntArray) -> IntArray:
     """
     n = len(gram)
     lengths = norms(candidates, gram)
-    tolerance = 1e-8 * float(np.trace(gram))
-    choices = [candidates[np.abs(lengths - gram[i, i]) < tolerance] for i in range(n)]
+    size = np.sqrt(np.diag(gram))
+    tolerance = 1e-8 * np.outer(size, size)
+    choices = [candidates[np.abs(lengths - gram[i, i]) < tolerance[i, i]] for i in range(n)]
     found: list[IntArray] = []
 
     def extend(columns: list[IntArray]) -> None:
@@ -236,18 +238,19 @@ def point_group(gram: FloatArray, candidates: IntArray) -> IntArray:
             found.append(np.array(columns).T)
             return
         for v in choices[i]:
-            if all(abs(columns[j] @ gram @ v - gram[j, i]) < tolerance for j in range(i)):
+            if all(abs(columns[j] @ gram @ v - gram[j, i]) < tolerance[j, i] for j in range(i)):
                 extend([*columns, v])
 
     extend([])
     return np.array(sorted(found, key=lambda M: tuple(M.ravel())))
 
 
-def nearest_candidates(gram: FloatArray, relevant: IntArray) -> IntArray:
+def nearest_candidates(gram: FloatArray, relevant: IntArray, to_public: IntArray) -> IntArray:
     """Return the lattice vectors (K, n) beyond the corners of the unit cube that may be nearest to a point in it.
 
     ``gram`` is reduced and ``relevant`` its Voronoi relevant vectors. A vector counts when its
-    cell and the cube share more than a boundary.
+    cell and the cube share more than a boundary, or when it wins a tie somewhere on the boundary
+    they share: in a degenerate cell (squares in a sheared basis) four cells meet in a corner.
     """
     n = len(gram)
     planes = relevant @ gram
@@ -256,7 +259,7 @@ def nearest_candidates(gram: FloatArray, relevant: IntArray) -> IntArray:
     low, high = cell.min(axis=0), cell.max(axis=0)
     reach = int(np.ceil(max(-low.min(), high.max()))) + 1
     boxes = np.array(list(itertools.product(range(-reach, reach + 2), repeat=n)), dtype=np.int64)
-    meets = ((boxes + high > 1e-9) & (boxes + low < 1 - 1e-9)).all(axis=1)
+    meets = ((boxes + high > -1e-9) & (boxes + low < 1 + 1e-9)).all(axis=1)
     corner = ((boxes >= 0) & (boxes <= 1)).all(axis=1)
     cube = np.vstack([np.eye(n), -np.eye(n)])
     A = np.vstack([planes, cube])
@@ -268,7 +271,29 @@ def nearest_candidates(gram: FloatArray, relevant: IntArray) -> IntArray:
             slack = (b - A @ overlap.mean(axis=0)) / np.linalg.norm(A, axis=1)
             if slack.min() > 1e-9:
                 beyond.append(c)
+                continue
+        if len(overlap) and _wins_a_tie(c, overlap, boxes[corner], gram, to_public):
+            beyond.append(c)
     return np.array(beyond, dtype=np.int64).reshape(-1, n)
+
+
+def _wins_a_tie(c: IntArray, overlap: FloatArray, corners: IntArray, gram: FloatArray, to_public: IntArray) -> bool:
+    """Tell whether ``c`` is before all corners that are as near, somewhere in the polytope ``overlap``.
+
+    Which points tie changes only from face to face, so the middles of all pairs of vertices and
+    of all of them are enough to look at. Where a coordinate is 1 the next cube is asked instead.
+    """
+    middles = (overlap[:, None] + overlap[None]).reshape(-1, len(gram)) / 2
+    at = np.vstack([middles, overlap.mean(axis=0)])
+    at = at[(at < 1 - 1e-9).all(axis=1)]
+    mine = tuple(to_public @ c)
+    for f in at:
+        distance = float((f - c) @ gram @ (f - c))
+        others = norms(corners - f, gram)
+        tied = corners[others <= distance + 1e-9]
+        if distance <= others.min() + 1e-9 and all(mine < tuple(to_public @ v) for v in tied):
+            return True
+    return False
 
 
 def commensurate(gram: FloatArray) -> FloatArray:

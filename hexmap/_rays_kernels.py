@@ -89,11 +89,14 @@ def traverse(start, end, start_offset, first, last, planes, half, products, vect
                         if va > vb:
                             break
             t = times[best]
-            if t > entered:
+            # Rounding may put a corner at the end of the ray on the other side: never go past the end.
+            if min(t, 1.0) > entered:
                 for i in range(n):
                     out[w, i] = cell[i]
                 w += 1
                 entered = max(t, 0.0)
+            if t > 1.0:
+                break
             k = ahead[best]
             missing = 0
             for i in range(n):

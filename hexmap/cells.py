@@ -52,4 +52,4 @@ def key_delta(vector: NDArray[np.int64]) -> int:
     total = 0
     for v in vector:
         total = (total << bits) + int(v)
-    return total
+    return (total + 2**63) % 2**64 - 2**63  # keys wrap around to the right place

@@ -178,7 +178,7 @@ class Lattice:
         self._gram_reduced = G
         self._gram = self._to_reduced.T @ G @ self._to_reduced
         relevant = geometry.relevant_vectors(G)
-        extra = geometry.nearest_candidates(G, relevant)
+        extra = geometry.nearest_candidates(G, relevant, U)
         corners = np.array(list(np.ndindex(*(2,) * n)), dtype=np.int64)
         candidates = np.vstack([corners, extra])
         public = candidates @ U.T
@@ -316,7 +316,8 @@ class Lattice:
             BoundsError: naming the first row out of range.
         """
         if len(index):
-            out = (np.abs(index) >= self.limit).any(axis=1)
+            # Not by the absolute value: that of the least 64-bit integer is negative.
+            out = ((index >= self.limit) | (index <= -self.limit)).any(axis=1)
             if out.any():
                 row = int(np.argmax(out))
                 cell = tuple(int(v) for v in index[row])
@@ -424,8 +425,10 @@ class Lattice:
     @cached_property
     def point_group(self) -> NDArray[np.int64]:
         """All integer matrices (K, n, n) that map the lattice to itself rigidly: index -> M @ index."""
-        vectors = geometry.box_vectors(self.dim, 4) @ self._to_public.astype(np.int64).T
-        return geometry.point_group(self._gram, vectors)
+        # In the reduced basis, whose vectors are short: images of a sheared basis lie in no small box.
+        found = geometry.point_group(self._gram_reduced, geometry.box_vectors(self.dim, 4))
+        public = np.rint(self._to_public @ found @ self._to_reduced).astype(np.int64)
+        return public[np.lexsort(public.reshape(len(public), -1).T[::-1])]
 
     # ------------------------------------------------------------------ steps between cells
 

@@ -75,12 +75,7 @@ class VoxelList:
             ArgumentError: shapes that do not fit, indices that are not integers, or a count below 1.
             BoundsError: an index is out of range.
         """
-        raw = np.asarray(index)
-        if raw.size == 0:
-            raw = np.empty((0, lattice.dim), np.int64)
-        if raw.ndim != 2 or raw.shape[1] != lattice.dim or not np.issubdtype(raw.dtype, np.integer):
-            raise ArgumentError(f"indices must be integers (M, {lattice.dim}), not {raw.dtype} {raw.shape}")
-        i = lattice.check_index(raw.astype(np.int64))
+        i = lattice.check_index(cls._integers(index, lattice))
         if counts is None:
             return cls._from_index(i, lattice)
         c = np.asarray(counts)
@@ -91,6 +86,17 @@ class VoxelList:
         keys, c = keys[order], c[order].astype(np.int64)
         first = np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1)) if len(keys) else np.empty(0, np.int64)
         return cls(lattice, keys[first], np.add.reduceat(c, first) if len(first) else c)
+
+    @staticmethod
+    def _integers(index: ArrayLike, lattice: Lattice) -> NDArray[np.int64]:
+        """Return indices (M, n) as int64, if that is what they are."""
+        raw = np.asarray(index)
+        if raw.size == 0:
+            raw = np.empty((0, lattice.dim), np.int64)
+        if raw.ndim != 2 or raw.shape[1] != lattice.dim or not np.issubdtype(raw.dtype, np.integer):
+            raise ArgumentError(f"indices must be integers (M, {lattice.dim}), not {raw.dtype} {raw.shape}")
+        # Unsigned numbers beyond int64 would come out negative.
+        return np.minimum(raw, 2**63 - 1).astype(np.int64) if raw.dtype == np.uint64 else raw.astype(np.int64)
 
     @classmethod
     def _from_index(cls, index: NDArray[np.int32], lattice: Lattice) -> VoxelList:
@@ -146,10 +152,10 @@ class VoxelList:
 
     def find(self, index: ArrayLike) -> CountArray:
         """Return the count (K,) of each of the indices (K, n); 0 where it is not in the list."""
-        raw = np.asarray(index, dtype=np.int64).reshape(-1, self.lattice.dim)
+        raw = self._integers(index, self.lattice)
         if len(self) == 0 or len(raw) == 0:
             return np.zeros(len(raw), np.int64)
-        inside = np.all(np.abs(raw) < self.lattice.limit, axis=1)
+        inside = np.all((raw < self.lattice.limit) & (raw > -self.lattice.limit), axis=1)
         keys = pack(np.where(inside[:, None], raw, 0).astype(np.int32))
         at = np.minimum(np.searchsorted(self.keys, keys), len(self) - 1)
         return np.where(inside & (self.keys[at] == keys), self.counts[at], 0)

@@ -206,6 +206,8 @@ class ScanMatcher:
             raise ArgumentError(f"the map is of dimension {n}, the scan {p.shape}, the pose of {predicted.dim}")
         if len(p) == 0:
             return None
+        if not np.isfinite(p).all():
+            lattice.quantise(p)  # raises, naming the row
         window = window or self.window
         turns = self.rotations(p, lattice, window.radians)
         rotations = _product(turns, predicted.rotation)
