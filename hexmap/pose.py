@@ -194,9 +194,11 @@ class Pose:
             return NotImplemented
         if other.dim != self.dim:
             raise ArgumentError(f"a pose of dimension {self.dim} cannot be composed with one of {other.dim}")
-        return Pose._trusted(
-            self.rotation @ other.rotation, self.rotation @ other.translation + self.translation
-        )
+        R = self.rotation @ other.rotation
+        # One Newton step towards the nearest rotation: the inverse is taken to be the transpose, and
+        # without this the rounding of long chains of poses would grow without bound.
+        R = 1.5 * R - 0.5 * (R @ (R.T @ R))
+        return Pose._trusted(R, self.rotation @ other.translation + self.translation)
 
     def apply(self, points: ArrayLike) -> FloatArray:
         """Return ``points`` (N, n), in metres, carried into the outer frame."""

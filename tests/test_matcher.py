@@ -72,9 +72,7 @@ def test_the_best_pose_of_the_window_is_never_lost(case: Case, seed: int) -> Non
     )
 
 
-@given(
-    x=st.floats(-0.4, 0.4), y=st.floats(-0.4, 0.4), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"])
-)
+@given(x=st.floats(-0.4, 0.4), y=st.floats(-0.4, 0.4), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"]))
 @settings(max_examples=25, deadline=None)
 def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: str) -> None:
     lattice = Lattice.named(name, 0.05)

@@ -88,3 +88,14 @@ def test_what_is_no_pose_is_refused(make) -> None:
         make()
     assert isinstance(caught.value, HexmapError) and isinstance(caught.value, ValueError)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_long_chains_of_motions_stay_rotations(dim: int) -> None:
+    # Dead reckoning by the last motion, a thousand times over: each step multiplies the rounding of the one before.
+    before, now = Pose.identity(dim), Pose.planar(0.1, 0.0, 0.05)
+    if dim == 3:
+        now = Pose.from_quaternion([0.1, 0.0, 0.02], [0.01, 0.02, 0.03, 1.0])
+    for _ in range(1000):
+        before, now = now, now @ (before.inverse() @ now)
+    assert np.abs(now.rotation @ now.rotation.T - np.eye(dim)).max() < 1e-12

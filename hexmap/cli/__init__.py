@@ -19,5 +19,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return run(list(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt:
-        sys.stderr.write("\nhexmap: stopped; nothing was written\n")
+        sys.stderr.write("\nhexmap: stopped; what was not yet announced as written is as it was\n")
         return 130

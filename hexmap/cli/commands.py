@@ -13,6 +13,8 @@ from hexmap.errors import HexmapError
 
 __all__ = ["app", "run"]
 
+STOPPED = 130
+
 app = typer.Typer(
     name="hexmap",
     help="Maps and paths on square, hexagonal, cubic, FCC and BCC lattices, from laser logs.",
@@ -33,15 +35,21 @@ app.command()(viewing.show)
 app.command()(viewing.export)
 
 
-@app.callback()
-def _options(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
-) -> None:
-    if version:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         from hexmap import __version__
 
         typer.echo(f"hexmap {__version__}")
         raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    pass
 
 
 def run(arguments: list[str]) -> int:
@@ -49,6 +57,8 @@ def run(arguments: list[str]) -> int:
     try:
         code = app(args=arguments, prog_name="hexmap", standalone_mode=False)
         sys.stdout.flush()
+        if code == STOPPED:  # the parser has turned Ctrl-C into this code
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else 0
     except HexmapError as error:
         return _fail(str(error))
