@@ -28,7 +28,9 @@ BLOCK = 512
 @njit(cache=True, nogil=True)
 def quantise_2d(points, inverse, gram2, constants, extra, extra_constants, to_public, limit, out):
     """Nearest lattice points of ``points`` (N, 2); returns the number of rows out of range."""
-    a00, a01, a10, a11 = inverse[0, 0], inverse[0, 1], inverse[1, 0], inverse[1, 1]
+    # times a power of two: exact
+    a00, a01 = inverse[0, 0] * SCALE, inverse[0, 1] * SCALE
+    a10, a11 = inverse[1, 0] * SCALE, inverse[1, 1] * SCALE
     g00, g01, g11 = gram2[0, 0], gram2[0, 1], gram2[1, 1]
     q0, q1, q2, q3 = constants[0], constants[1], constants[2], constants[3]
     t00, t01, t10, t11 = to_public[0, 0], to_public[0, 1], to_public[1, 0], to_public[1, 1]
@@ -50,8 +52,8 @@ def quantise_2d(points, inverse, gram2, constants, extra, extra_constants, to_pu
         for i in range(m):
             x = X[i]
             y = Y[i]
-            u0 = np.rint((a00 * x + a01 * y) * SCALE) * INVERSE_SCALE
-            u1 = np.rint((a10 * x + a11 * y) * SCALE) * INVERSE_SCALE
+            u0 = np.rint(a00 * x + a01 * y) * INVERSE_SCALE
+            u1 = np.rint(a10 * x + a11 * y) * INVERSE_SCALE
             i0 = np.floor(u0)
             i1 = np.floor(u1)
             f0 = u0 - i0
@@ -102,9 +104,10 @@ def quantise_2d(points, inverse, gram2, constants, extra, extra_constants, to_pu
 @njit(cache=True, nogil=True)
 def quantise_3d(points, inverse, gram2, constants, extra, extra_constants, to_public, limit, out):
     """Nearest lattice points of ``points`` (N, 3); returns the number of rows out of range."""
-    a00, a01, a02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
-    a10, a11, a12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
-    a20, a21, a22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
+    # times a power of two: exact
+    a00, a01, a02 = inverse[0, 0] * SCALE, inverse[0, 1] * SCALE, inverse[0, 2] * SCALE
+    a10, a11, a12 = inverse[1, 0] * SCALE, inverse[1, 1] * SCALE, inverse[1, 2] * SCALE
+    a20, a21, a22 = inverse[2, 0] * SCALE, inverse[2, 1] * SCALE, inverse[2, 2] * SCALE
     g00, g01, g02 = gram2[0, 0], gram2[0, 1], gram2[0, 2]
     g11, g12, g22 = gram2[1, 1], gram2[1, 2], gram2[2, 2]
     q0, q1, q2, q3 = constants[0], constants[1], constants[2], constants[3]
@@ -135,9 +138,9 @@ def quantise_3d(points, inverse, gram2, constants, extra, extra_constants, to_pu
             x = X[i]
             y = Y[i]
             z = Z[i]
-            u0 = np.rint((a00 * x + a01 * y + a02 * z) * SCALE) * INVERSE_SCALE
-            u1 = np.rint((a10 * x + a11 * y + a12 * z) * SCALE) * INVERSE_SCALE
-            u2 = np.rint((a20 * x + a21 * y + a22 * z) * SCALE) * INVERSE_SCALE
+            u0 = np.rint(a00 * x + a01 * y + a02 * z) * INVERSE_SCALE
+            u1 = np.rint(a10 * x + a11 * y + a12 * z) * INVERSE_SCALE
+            u2 = np.rint(a20 * x + a21 * y + a22 * z) * INVERSE_SCALE
             i0 = np.floor(u0)
             i1 = np.floor(u1)
             i2 = np.floor(u2)

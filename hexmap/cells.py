@@ -12,43 +12,44 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["key_delta", "pack", "unpack"]
+__all__ = ["key_delta", "layout", "pack", "unpack"]
 
 KeyArray: TypeAlias = NDArray[np.int64]
 
 
-def _layout(dim: int) -> tuple[int, int]:
-    """Return the bits of a field and the offset that makes it non-negative."""
-    return (32, 2**31) if dim == 2 else (21, 2**20)
+def layout(dim: int) -> tuple[int, NDArray[np.int64]]:
+    """Return the bits of a field and what is added to each index, so that fields are not negative."""
+    if dim == 2:
+        # The first field is the high half of a signed number and may be negative.
+        return 32, np.array([0, 2**31], dtype=np.int64)
+    return 21, np.full(3, 2**20, dtype=np.int64)
 
 
 def pack(index: NDArray[np.int32]) -> KeyArray:
     """Return the keys (N,) of indices (N, n) that are known to be in range."""
-    bits, offset = _layout(index.shape[1])
-    i = index.astype(np.int64)
-    if index.shape[1] == 2:
-        return np.asarray((i[:, 0] << bits) + (i[:, 1] + offset))
-    return np.asarray(((i[:, 0] + offset) << 2 * bits) | ((i[:, 1] + offset) << bits) | (i[:, 2] + offset))
+    bits, offset = layout(index.shape[1])
+    keys = np.zeros(len(index), np.int64)
+    for column, added in zip(index.T, offset, strict=True):
+        keys <<= bits
+        keys += column
+        keys += added
+    return keys
 
 
 def unpack(keys: KeyArray, dim: int) -> NDArray[np.int32]:
     """Return the indices (N, dim) int32 of keys (N,)."""
-    bits, offset = _layout(dim)
+    bits, offset = layout(dim)
     mask = (1 << bits) - 1
     out = np.empty((len(keys), dim), dtype=np.int32)
-    if dim == 2:
-        out[:, 0] = keys >> bits
-        out[:, 1] = (keys & mask) - offset
-    else:
-        out[:, 0] = (keys >> 2 * bits) - offset
-        out[:, 1] = ((keys >> bits) & mask) - offset
-        out[:, 2] = (keys & mask) - offset
+    for k in range(dim):
+        field = keys >> bits * (dim - 1 - k)
+        out[:, k] = (field if k == 0 else field & mask) - offset[k]
     return out
 
 
 def key_delta(vector: NDArray[np.int64]) -> int:
     """Return what a shift by the lattice vector (n,) adds to every key, where no field overflows."""
-    bits, _ = _layout(len(vector))
+    bits, _ = layout(len(vector))
     total = 0
     for v in vector:
         total = (total << bits) + int(v)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -170,28 +170,21 @@ class Lattice:
         """Compute what the quantiser needs; the rest is computed when it is asked for."""
         n = self.dim
         gram = self.basis.T @ self.basis
-        U = geometry.reduce_basis(gram)
+        U = np.ascontiguousarray(geometry.reduce_basis(gram))
         reduced = self.basis @ U
-        G = geometry.commensurate(reduced.T @ reduced)
+        G = np.ascontiguousarray(geometry.commensurate(reduced.T @ reduced))
         self._to_public = np.ascontiguousarray(U, dtype=np.float64)
         self._to_reduced = np.rint(np.linalg.inv(U)).astype(np.int64)
         self._gram_reduced = G
         self._gram = self._to_reduced.T @ G @ self._to_reduced
-        relevant = geometry.relevant_vectors(G)
-        extra = geometry.nearest_candidates(G, relevant, U)
-        corners = np.array(list(np.ndindex(*(2,) * n)), dtype=np.int64)
-        candidates = np.vstack([corners, extra])
-        public = candidates @ U.T
-        rank = np.empty(len(public))
-        rank[np.lexsort(public.T[::-1])] = np.arange(len(public))
-        constants = geometry.norms(candidates, G) + rank * 2.0**-38
+        relevant, extra, constants = _quantiser_tables(G.tobytes(), U.tobytes(), n)
         self._relevant = relevant @ U.T
         self._inverse = np.ascontiguousarray(np.linalg.inv(reduced))
         self._kernel_arguments = (
             self._inverse,
             np.ascontiguousarray(2.0 * G),
             np.ascontiguousarray(constants[: 2**n]),
-            np.ascontiguousarray(extra, dtype=np.float64),
+            extra,
             np.ascontiguousarray(constants[2**n :]),
             self._to_public,
             float(self.limit),
@@ -492,6 +485,24 @@ class Lattice:
             distance = np.round((off_line**2).sum(axis=1) / self.resolution**2, 9)
             cells.append(options[int(np.argmin(distance))])
         return self.check_index(np.array(cells))
+
+
+@lru_cache(maxsize=256)
+def _quantiser_tables(gram: bytes, to_public: bytes, n: int) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Return relevant vectors (F, n), further candidates (K, n) and the constants (2^n + K,) of the kernels.
+
+    They depend on the lattice's shape alone, so that all its resolutions share them.
+    """
+    G = np.frombuffer(gram).reshape(n, n)
+    U = np.frombuffer(to_public, dtype=np.int64).reshape(n, n)
+    relevant = geometry.relevant_vectors(G)
+    extra = geometry.nearest_candidates(G, relevant, U)
+    candidates = np.vstack([np.array(list(np.ndindex(*(2,) * n)), dtype=np.int64), extra])
+    public = candidates @ U.T
+    rank = np.empty(len(public))
+    rank[np.lexsort(public.T[::-1])] = np.arange(len(public))
+    constants = geometry.norms(candidates, G) + rank * 2.0**-38
+    return relevant, np.ascontiguousarray(extra, dtype=np.float64), constants
 
 
 def _ball(n: int) -> float:

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.cells import KeyArray, key_delta, pack, unpack
+from hexmap.cells import KeyArray, key_delta, layout, pack, unpack
 from hexmap.errors import ArgumentError, BoundsError, LatticeError
 from hexmap.lattice import Lattice
 
@@ -116,13 +116,11 @@ class VoxelList:
         kernels.pack_relative(index, low, shifts, keys)
         if kernels.radix_sort(keys, scratch, max(1, sum(bits))):
             keys, scratch = scratch, keys
-        unique = np.empty(len(index), np.int64)
-        counts = np.empty(len(index), np.int64)
-        m = kernels.run_lengths(keys, unique, counts)
-        relative = unique[:m]
-        columns = [(relative >> s) & ((1 << b) - 1) for s, b in zip(shifts, bits, strict=True)]
-        cells = (np.stack(columns, axis=1) + low).astype(np.int32)
-        return cls(lattice, pack(cells), counts[:m].copy())
+        m = kernels.count_distinct(keys)
+        unique, counts = np.empty(m, np.int64), np.empty(m, np.int64)
+        field, offset = layout(dim)
+        kernels.run_lengths(keys, low, shifts, field, offset, unique, counts)
+        return cls(lattice, unique, counts)
 
     # ------------------------------------------------------------------ reading
 

@@ -13,8 +13,9 @@ from collections import Counter, deque
 from fractions import Fraction
 
 import numpy as np
-from lattices import Case
 from numpy.typing import NDArray
+
+from tests.lattices import Case
 
 ONE = 2**32
 Index = tuple[int, ...]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lattices import CASES, JIT, PLANAR, SPATIAL, Case
 from numpy.typing import NDArray
 
 from hexmap._page import FREE_COLOUR, SHADES, UNKNOWN_COLOUR, Page, thresholds
@@ -19,6 +18,7 @@ from hexmap.maps import Level, Map, StateRule
 from hexmap.pose import Pose
 from hexmap.trajectory import Trajectory
 from hexmap.voxels import VoxelList
+from tests.lattices import CASES, JIT, PLANAR, SPATIAL, Case
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
 planar = pytest.mark.parametrize("case", PLANAR, ids=str)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from lattices import CASES, EXAMPLES, PLANAR, SPATIAL, Case
 from numpy.typing import NDArray
 
 from hexmap import exports
@@ -20,6 +19,7 @@ from hexmap.exports import export, export_csv, export_ply, export_ros
 from hexmap.lattice import Lattice
 from hexmap.maps import FREE, OCCUPIED, UNKNOWN, Level, Map, StateRule
 from hexmap.voxels import VoxelList
+from tests.lattices import CASES, EXAMPLES, PLANAR, SPATIAL, Case
 
 planar = pytest.mark.parametrize("case", PLANAR, ids=str)
 spatial = pytest.mark.parametrize("case", SPATIAL, ids=str)

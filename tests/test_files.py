@@ -15,13 +15,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from lattices import CASES
 
 from hexmap.errors import FileAccessError, FormatError, HexmapError
 from hexmap.files import FORMAT_VERSION, load_map, read_metadata, save_map
 from hexmap.lattice import Lattice
 from hexmap.maps import Level, Map
 from hexmap.voxels import VoxelList
+from tests.lattices import CASES
 
 each_lattice = pytest.mark.parametrize("lattice", [case.lattice for case in CASES], ids=[str(case) for case in CASES])
 

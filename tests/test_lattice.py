@@ -9,15 +9,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import reference
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from lattices import ALL, BULK, CASES, DYADIC, EXAMPLES, PART, PLANAR, SHEARED, Case, named
 from scipy.integrate import dblquad
 from scipy.spatial import cKDTree
 
 from hexmap.errors import ArgumentError, BoundsError, HexmapError, LatticeError
 from hexmap.lattice import NAMES, Lattice, default_name
+from tests import reference
+from tests.lattices import ALL, BULK, CASES, DYADIC, EXAMPLES, PART, PLANAR, SHEARED, Case, named
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
 every = pytest.mark.parametrize("case", [*ALL, *DYADIC], ids=str)

@@ -178,7 +178,7 @@ def test_settings_survive_a_round_trip_and_refuse_nonsense() -> None:
 def test_a_log_without_a_laser_is_an_error(tmp_path: Path) -> None:
     log = tmp_path / "wheels.clf"
     log.write_text("ODOM 0 0 0 0 0 0 0.0 host 0.0\n" * 3)
-    with pytest.raises(LogError, match="wheels.clf"):
+    with pytest.raises(LogError, match=r"wheels\.clf"):
         build_map(open_log(log))
 
 

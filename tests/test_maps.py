@@ -8,10 +8,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
-import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lattices import CASES, EXAMPLES, JIT, PLANAR, Case
 
 from hexmap.errors import ArgumentError, BoundsError, LatticeError
 from hexmap.lattice import Lattice
@@ -20,6 +18,8 @@ from hexmap.pose import Pose
 from hexmap.rays import traverse
 from hexmap.scan import Scan
 from hexmap.voxels import VoxelList
+from tests import reference
+from tests.lattices import CASES, EXAMPLES, JIT, PLANAR, Case
 
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
 each = pytest.mark.parametrize("case", CASES, ids=str)

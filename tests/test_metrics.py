@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-import reference
-from lattices import BULK, CASES, Case
 
 from hexmap.errors import ArgumentError
 from hexmap.lattice import Lattice
 from hexmap.metrics import coefficient_of_variation, distortion, interquartile_variability, voxel_count
+from tests import reference
+from tests.lattices import BULK, CASES, Case
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
 

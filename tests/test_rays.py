@@ -6,14 +6,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import reference
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from lattices import BULK, CASES, DYADIC, EXAMPLES, JIT, PART, SHEARED, Case
 
 from hexmap.errors import ArgumentError, BoundsError
 from hexmap.lattice import Lattice
 from hexmap.rays import traverse
+from tests import reference
+from tests.lattices import BULK, CASES, DYADIC, EXAMPLES, JIT, PART, SHEARED, Case
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
 every = pytest.mark.parametrize("case", [*CASES, *DYADIC, *SHEARED], ids=str)

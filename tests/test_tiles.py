@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lattices import CASES, EXAMPLES, JIT, Case
 
 from hexmap.lattice import Lattice
 from hexmap.tiles import HITS, PASSES, CellCounter
 from hexmap.voxels import VoxelList
+from tests.lattices import CASES, EXAMPLES, JIT, Case
 
 # The hash of a tile wraps around on purpose; numpy warns of it where the JIT is off.
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lattices import ALL, BULK, CASES, EXAMPLES, Case
 
 from hexmap.cells import key_delta, pack, unpack
 from hexmap.errors import ArgumentError, BoundsError, LatticeError
 from hexmap.lattice import Lattice
 from hexmap.voxels import VoxelList
+from tests import reference
+from tests.lattices import ALL, BULK, CASES, EXAMPLES, Case
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
 A2, D3 = CASES[1].lattice, CASES[3].lattice

@@ -1,0 +1,37 @@
+# make demo: simulate a building, map it, draw it.    make test: the whole suite.
+# Both set up a virtual environment of their own first; nothing else is needed but Python 3.11+, venv and make.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test test-nojit lint bench clean
+
+demo: $(READY)
+	$(BIN)/hexmap demo --output demo
+
+test: $(READY) test-nojit
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest
+
+# The kernels as plain Python: bounds are checked, and what the compiler might hide shows.
+test-nojit: $(READY)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/test_lattice.py tests/test_voxels.py tests/test_rays.py tests/test_tiles.py
+
+lint: $(READY)
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+bench: $(READY)
+	$(BIN)/python -m pip install --quiet --editable ".[bench]"
+	$(BIN)/python -m tests.benchmarks
+
+$(READY): pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "hexmap needs Python 3.11 or newer (make PYTHON=python3.12 ...)")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	touch $(READY)
+
+clean:
+	rm -rf $(VENV) demo build *.egg-info

@@ -1,0 +1,39 @@
+"""Timing and tables shared by the benchmarks."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from importlib import metadata
+
+
+def median_seconds(function: Callable[[], object], repeats: int = 7) -> float:
+    """Return the median time of ``function``, after one run that is not counted."""
+    function()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def versions(*names: str) -> str:
+    """Return the versions of distributions, as far as they are installed."""
+    found = []
+    for name in names:
+        try:
+            found.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            found.append(f"{name} absent")
+    return ", ".join(found)
+
+
+def table(rows: Sequence[Sequence[object]]) -> None:
+    """Print rows of cells, the first row as the head, numbers to the right."""
+    text = [[f"{c:.4g}" if isinstance(c, float) else str(c) for c in row] for row in rows]
+    widths = [max(len(row[k]) for row in text) for k in range(len(text[0]))]
+    for row in text:
+        print("  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))))
+    print()
