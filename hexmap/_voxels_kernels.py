@@ -108,7 +108,6 @@ def run_lengths(keys, low, shifts, field, offset, unique, counts):
     n = low.shape[0]
     m = -1
     last = np.uint64(0)
-    one = np.int64(1)
     for i in range(keys.shape[0]):
         key = np.uint64(keys[i])
         if m >= 0 and key == last:
@@ -116,12 +115,13 @@ def run_lengths(keys, low, shifts, field, offset, unique, counts):
             continue
         m += 1
         last = key
-        rest = np.int64(key)
+        rest = key  # unsigned: in the plane a key may fill all 64 bits
         packed = np.int64(0)
         for k in range(n):
-            part = rest >> shifts[k]
-            rest -= part << shifts[k]
-            packed = packed * (one << field) + (part + low[k] + offset[k])
+            shift = np.uint64(shifts[k])
+            part = rest >> shift
+            rest -= part << shift
+            packed = (packed << field) + (np.int64(part) + low[k] + offset[k])
         unique[m] = packed
         counts[m] = 1
 
