@@ -23,7 +23,7 @@ from hexmap.scan import Event, Odometry, Scan
 from hexmap.trajectory import Trajectory
 from localisation.matcher import CounterOccupancy, Match, ScanMatcher, SearchWindow
 
-__all__ = ["MappingResult", "MappingSettings", "ScanMapper", "build_map", "fuse_log"]
+__all__ = ["MappingResult", "MappingSettings", "ScanMapper", "build_map", "fuse_log", "scans_at_poses"]
 
 Progress = Callable[[int], None]
 OnPose = Callable[[float, Pose, bool], None]
@@ -228,7 +228,6 @@ class ScanMapper:
         self.builder.fuse(scan, T_map_robot @ self.mount)
         return T_map_robot
 
-
     def _search(self, points: np.ndarray, predicted: Pose) -> Match | None:
         """Match in the window; where most of the scan then disagrees with the map, look farther.
 
@@ -369,28 +368,21 @@ class _Way:
             self._on_pose(stamp, pose, is_scan)
 
 
-def fuse_log(
-    log: Log,
-    poses: Trajectory,
-    settings: MappingSettings | None = None,
-    *,
-    associate: str | None = None,
-    tolerance: float = 0.1,
-    on_pose: OnPose | None = None,
-    progress: Progress | None = None,
-) -> MappingResult:
-    """Map a log whose poses (T_map_robot) are known.
+def scans_at_poses(
+    log: Log, poses: Trajectory, *, associate: str | None = None, tolerance: float = 0.1
+) -> Iterator[tuple[Scan, Pose | None]]:
+    """Yield each scan of a log with its given pose (T_map_robot), None where it has none.
 
     Poses go with scans by order where there are as many as scans, or as many as laser and
     odometry readings together (what :func:`build_map` writes); else by time, each scan with the
-    pose nearest to its stamp. ``associate`` ("order" or "time") insists on one of them. Scans
-    without a pose within ``tolerance`` seconds are left out and counted.
+    pose nearest to its stamp, at most ``tolerance`` seconds off. ``associate`` ("order" or
+    "time") insists on one of them. The log is read twice: once to count.
 
     Raises:
         LogError: the log cannot be read or has no laser reading.
-        TrajectoryError: the poses go with no scan, or not by the order asked for.
+        TrajectoryError: the poses do not go by the order asked for.
+        ArgumentError: ``associate`` is neither.
     """
-    settings = settings or MappingSettings()
     if associate not in (None, "order", "time"):
         raise ArgumentError(f"poses associate by 'order' or 'time', not {associate!r}")
     scans = odometry = 0
@@ -404,34 +396,59 @@ def fuse_log(
             f"nor with its {scans + odometry} readings"
         )
     by_order = associate != "time" and (each_scan or each_event)
-    builder = make_builder(settings)
-    mount = make_mount(settings, log.mount)
-    skipped = seen = 0
-    way = _Way(on_pose)
+    seen = 0
     for at, event in enumerate(log):
         if isinstance(event, Scan):
-            pose: Pose | None
             if by_order:
-                pose = poses[seen if each_scan else at]
+                yield event, poses[seen if each_scan else at]
             else:
                 k, off = poses.nearest([event.stamp])
-                pose = poses[int(k[0])] if off[0] <= tolerance else None
-            if pose is None:
-                skipped += 1
-            else:
-                way.add(event.stamp, pose, True)
-                builder.fuse(event, pose @ mount)
+                yield event, poses[int(k[0])] if off[0] <= tolerance else None
             seen += 1
-            if progress is not None:
-                progress(seen)
+
+
+def fuse_log(
+    log: Log,
+    poses: Trajectory,
+    settings: MappingSettings | None = None,
+    *,
+    associate: str | None = None,
+    tolerance: float = 0.1,
+    on_pose: OnPose | None = None,
+    progress: Progress | None = None,
+) -> MappingResult:
+    """Map a log whose poses (T_map_robot) are known.
+
+    How poses go with scans is said at :func:`scans_at_poses`; scans without a pose are left out
+    and counted.
+
+    Raises:
+        LogError: the log cannot be read or has no laser reading.
+        TrajectoryError: the poses go with no scan, or not by the order asked for.
+    """
+    settings = settings or MappingSettings()
+    builder = make_builder(settings)
+    mount: Pose | None = None
+    skipped = seen = 0
+    way = _Way(on_pose)
+    for scan, pose in scans_at_poses(log, poses, associate=associate, tolerance=tolerance):
+        mount = mount or make_mount(settings, log.mount)
+        if pose is None:
+            skipped += 1
+        else:
+            way.add(scan.stamp, pose, True)
+            builder.fuse(scan, pose @ mount)
+        seen += 1
+        if progress is not None:
+            progress(seen)
     if builder.scans == 0:
         raise TrajectoryError(
-            f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {scans} scans of {log.path}"
+            f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {seen} scans of {log.path}"
         )
     return MappingResult(
         map=builder.build(source=_source(log, settings, "given")),
         scans=builder.scans,
-        odometry=odometry,
+        odometry=log.odometry,
         matched=0,
         unmatched=0,
         skipped=skipped,
@@ -439,5 +456,3 @@ def fuse_log(
         metres=way.metres,
         warnings=list(log.warnings),
     )
-
-

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hexmap.cli import mapping, viewing
+from hexmap.cli import experiments, mapping, viewing
 from hexmap.errors import HexmapError
 
 __all__ = ["app", "run"]
@@ -33,6 +33,7 @@ app.command()(viewing.info)
 app.command()(viewing.lattices)
 app.command()(viewing.show)
 app.command()(viewing.export)
+app.add_typer(experiments.app, name="experiment")
 
 
 def _print_version(wanted: bool) -> None:

@@ -75,8 +75,8 @@ def first_run_note() -> None:
 
 
 @contextmanager
-def progress_line(what: str, fraction: Callable[[], float]) -> Iterator[Callable[[int], None]]:
-    """Show scans a second and the time left, on a terminal only; yields what to call after each scan."""
+def progress_line(what: str, fraction: Callable[[], float], noun: str = "scans") -> Iterator[Callable[[int], None]]:
+    """Show scans (or ``noun``) a second and the time left, on a terminal only; yields what to call after each."""
     if not sys.stderr.isatty():
         yield lambda scans: None
         return
@@ -86,7 +86,9 @@ def progress_line(what: str, fraction: Callable[[], float]) -> Iterator[Callable
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %  {task.fields[scans]} scans, {task.fields[rate]:.0f} a second, left"),
+        TextColumn(
+            "{task.percentage:>3.0f} %  {task.fields[scans]} " + noun + ", {task.fields[rate]:.0f} a second, left"
+        ),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:

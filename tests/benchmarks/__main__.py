@@ -1,6 +1,7 @@
 """``python -m tests.benchmarks``: all of them, one after the other."""
 
-from tests.benchmarks import mapping, voxels
+from tests.benchmarks import experiments, mapping, voxels
 
 voxels.main()
 mapping.main()
+experiments.main()

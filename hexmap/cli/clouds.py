@@ -1,0 +1,163 @@
+"""Options that commands on point clouds share: how to read them, which to keep, which cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Volume = Annotated[float | None, typer.Option(help="Volume of a cell, m3 (0.001 is a litre).")]
+Area = Annotated[float | None, typer.Option(help="Area of a cell, m2.")]
+Resolution = Annotated[float | None, typer.Option(help="Side, m, of the square or cube as large as a cell.")]
+Format = Annotated[str | None, typer.Option("--format", help="pcd, ply, text, kitti, npy.", show_default="found")]
+Units = Annotated[str, typer.Option(help="Units of a point file: m, cm, mm or a number of metres.")]
+Axes = Annotated[str, typer.Option(help="Axes of a point file as x, y, z: a signed permutation such as x,-z,y.")]
+MinRange = Annotated[float, typer.Option(help="Leave out points nearer to the origin, m.")]
+MaxRange = Annotated[float | None, typer.Option(help="Leave out points farther from the origin, m.")]
+Crop = Annotated[str | None, typer.Option(help="Box to keep, m: x,y,z,x,y,z (two corners; x,y,x,y in the plane).")]
+Unique = Annotated[bool, typer.Option(help="Leave out exact duplicates.")]
+Sample = Annotated[int | None, typer.Option(help="Keep so many points, drawn at random.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+
+
+def cell_size(resolution: float | None, volume: float | None, area: float | None, dim: int) -> float | None:
+    """Return the resolution that was asked for, one way or another; None where it was not.
+
+    Raises:
+        ArgumentError: more than one way, an area in space or a volume in the plane, not positive.
+    """
+    from hexmap.errors import ArgumentError
+
+    given = {"--resolution": resolution, "--volume": volume, "--area": area}
+    named = [k for k, v in given.items() if v is not None]
+    if len(named) > 1:
+        raise ArgumentError(f"{' and '.join(named)} say the same thing; give one of them")
+    if not named:
+        return None
+    value = given[named[0]]
+    assert value is not None
+    if not 0.0 < value < float("inf"):
+        raise ArgumentError(f"{named[0]} must be a positive number, not {value}")
+    wrong = {"--area": 3, "--volume": 2}.get(named[0])
+    if wrong == dim:
+        raise ArgumentError(f"{named[0]} does not go with points of dimension {dim}")
+    power = {"--resolution": 1.0, "--area": 1.0 / 2.0, "--volume": 1.0 / 3.0}[named[0]]
+    # A litre is a cube of 0.1 m, not of 0.10000000000000002 m.
+    return float(f"{value**power:.12g}")
+
+
+def corners(crop: str | None) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Return the two corners of a box.
+
+    Raises:
+        ArgumentError: not 4 or 6 numbers.
+    """
+    from hexmap.errors import ArgumentError
+
+    if crop is None:
+        return None, None
+    try:
+        numbers = [float(v) for v in crop.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (4, 6):
+        raise ArgumentError(f"a box takes 4 or 6 numbers with commas between them, not {crop!r}")
+    half = len(numbers) // 2
+    return tuple(numbers[:half]), tuple(numbers[half:])
+
+
+def read_cloud(
+    path: Path,
+    poses: Path | None,
+    *,
+    format: str | None,
+    units: str,
+    axes: str,
+    min_range: float,
+    max_range: float | None,
+    crop: str | None,
+    unique: bool,
+    sample: int | None,
+    seed: int,
+    cells: float | None,
+) -> tuple[NDArray[np.float64], list[str], list[str]]:
+    """Return points (N, n), notes for a report and warnings, of a point file, a log with poses, or a map.
+
+    Raises:
+        HexmapError: the file cannot be read, or a map's cells are too coarse for ``cells``.
+    """
+    from hexmap.errors import ArgumentError
+    from hexmap.points import PointFilter, read_points
+
+    notes: list[str] = []
+    warnings: list[str] = []
+    low, high = corners(crop)
+    chosen = PointFilter(
+        min_range=min_range, max_range=max_range, low=low, high=high, unique=unique, sample=sample, seed=seed
+    )
+    if poses is not None:
+        points, warnings = _of_log(path, poses)
+        notes.append(f"The points are those of the log {path.name} at the poses of {poses.name}.")
+    elif is_parquet(path):
+        points, note = _of_map(path, cells)
+        notes.append(note)
+    else:
+        scale = float(units) if units.replace(".", "", 1).isdigit() else units
+        file = read_points(path, format=format, units=scale, axes=axes)
+        points, warnings = file.points, list(file.warnings)
+    kept, report = chosen.apply_counted(points)
+    if report.kept != report.given:
+        notes.append(f"Filters: {report}.")
+    if len(kept) == 0:
+        raise ArgumentError(f"{path}: no point is left after the filters ({report})")
+    return kept, notes, warnings
+
+
+def is_parquet(path: Path) -> bool:
+    """Tell whether a file begins as Parquet does: then it is a map, or is meant to be one."""
+    try:
+        with path.open("rb") as handle:
+            return handle.read(4) == b"PAR1"
+    except OSError:
+        return False
+
+
+def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:
+    from hexmap.errors import ArgumentError
+    from hexmap.files import load_map
+
+    world = load_map(path)
+    fine = world.lattice.resolution
+    if cells is None or cells < 10.0 * fine * (1.0 - 1e-9):
+        raise ArgumentError(
+            f"{path}: the centres of a map's cells pass for points only where the cells asked for are at least ten "
+            f"times its own, {10 * fine:g} m, not {cells} m"
+        )
+    note = (
+        f"The points are the centres of the {world.lattice.resolution:g} m cells of the map {path.name}, not sensor "
+        f"readings: the experiment's cells are {cells / fine:.1f} times as wide."
+    )
+    return world.state().occupied.centres(), note
+
+
+def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
+    """Return the points of a log at given poses, and what was wrong with the log."""
+    import numpy as np
+
+    from hexmap.logs import open_log
+    from hexmap.pose import Pose
+    from hexmap.trajectory import read_tum
+    from localisation.mapping import scans_at_poses
+
+    log = open_log(path)
+    chunks = [
+        (T_map_robot @ (log.mount or Pose.identity(2))).apply(scan.points)
+        for scan, T_map_robot in scans_at_poses(log, read_tum(poses))
+        if T_map_robot is not None
+    ]
+    return np.concatenate(chunks) if chunks else np.empty((0, 2)), list(log.warnings)

@@ -1,0 +1,150 @@
+"""``hexmap experiment``: the paper's evaluation on one's own scans."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hexmap.cli import clouds
+from hexmap.cli.console import first_run_note, progress_line, say, warn
+
+app = typer.Typer(
+    help="The paper's evaluation, on your own scans.", no_args_is_help=True, rich_markup_mode=None, add_completion=False
+)
+
+Folder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")]
+
+
+@app.command()
+def rotation(
+    points: Annotated[Path, typer.Argument(help="PCD, PLY, text, KITTI .bin, NPY; a log with --poses; a map.")],
+    output: Folder,
+    volume: clouds.Volume = None,
+    area: clouds.Area = None,
+    resolution: clouds.Resolution = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) of a laser log.")] = None,
+    lattice: Annotated[
+        list[str] | None, typer.Option(help="A lattice to compare; again for more.", show_default="all")
+    ] = None,
+    basis: Annotated[
+        list[str] | None, typer.Option(help="A lattice of your own: its generators as x,y;x,y or x,y,z;x,y,z;x,y,z.")
+    ] = None,
+    axis: Annotated[str, typer.Option(help="Axis of the turns: x, y or z.")] = "z",
+    start: Annotated[float, typer.Option(help="First angle, degrees.")] = 0.0,
+    stop: Annotated[float, typer.Option(help="End of the angles, degrees; left out.")] = 180.0,
+    step: Annotated[float, typer.Option(help="Angle between turns, degrees.")] = 5.0,
+    random: Annotated[int, typer.Option(help="Random rotations with shifts.")] = 200,
+    workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it.")] = 1,
+    seed: clouds.Seed = 0,
+    format: clouds.Format = None,
+    units: clouds.Units = "m",
+    axes: clouds.Axes = "xyz",
+    min_range: clouds.MinRange = 0.0,
+    max_range: clouds.MaxRange = None,
+    crop: clouds.Crop = None,
+    unique: clouds.Unique = False,
+    sample: clouds.Sample = None,
+) -> None:
+    """Turn a scan and count the cells of every lattice: Table II, Figs 2 to 7, verdicts on the paper's claims."""
+    from hexmap.errors import ArgumentError
+    from hexmap.experiments.rotation import RotationSettings, rotation_experiment
+
+    _check_folder(output)
+    dim = 2 if area is not None or poses is not None else 3
+    wanted = clouds.cell_size(resolution, volume, area, dim)
+    cloud, notes, warnings = clouds.read_cloud(
+        points, poses, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range, crop=crop,
+        unique=unique, sample=sample, seed=seed, cells=wanted,
+    )  # fmt: skip
+    dim = cloud.shape[1]
+    size = clouds.cell_size(resolution, volume, area, dim)
+    if size is None:
+        raise ArgumentError(f"say how large the cells are: {'--area' if dim == 2 else '--volume'} or --resolution")
+    settings = RotationSettings(
+        resolution=size, axis=axis, start=start, stop=stop, step=step, random=random, seed=seed,
+        lattices=tuple(lattice) if lattice else None, own=tuple(_basis(text) for text in basis or ()),
+    )  # fmt: skip
+    settings.make_lattices(dim)
+    for text in warnings:
+        warn(text)
+    first_run_note()
+    done_part = [0.0]
+    with progress_line("turning", lambda: done_part[0], "cases") as update:
+
+        def progress(done: int, total: int) -> None:
+            done_part[0] = done / total
+            update(done)
+
+        report = rotation_experiment(
+            cloud, settings, source=points.name, command=_command(), notes=notes, folder=_make(output),
+            workers=workers, progress=progress,
+        )  # fmt: skip
+    _write(report, output)
+
+
+@app.command()
+def quantiser(
+    output: Folder,
+    count: Annotated[int, typer.Option(help="Points a lattice and measurement.")] = 1_000_000,
+    seed: clouds.Seed = 0,
+) -> None:
+    """Uniform data, cell volumes by sampling, cost: every lattice as a quantiser."""
+    from hexmap.experiments.quantiser import quantiser_experiment
+
+    _check_folder(output)
+    first_run_note()
+    _write(quantiser_experiment(count=count, seed=seed, command=_command()), output)
+
+
+def _basis(text: str) -> list[list[float]]:
+    """Return the basis (columns are generators) of generators written as x,y;x,y.
+
+    Raises:
+        ArgumentError: not numbers, or not as many generators as coordinates.
+    """
+    from hexmap.errors import ArgumentError
+
+    try:
+        rows = [[float(v) for v in row.split(",")] for row in text.split(";")]
+    except ValueError:
+        rows = []
+    if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
+        raise ArgumentError(f"a basis is written as x,y;x,y or x,y,z;x,y,z;x,y,z, not {text!r}")
+    return [list(column) for column in zip(*rows, strict=True)]
+
+
+def _command() -> str:
+    """Return the command line without the folders of this machine."""
+    return " ".join(["hexmap", *(shlex.quote(Path(a).name if "/" in a else a) for a in sys.argv[1:])])
+
+
+def _check_folder(output: Path) -> None:
+    from hexmap.errors import FileAccessError
+
+    if output.exists() and not output.is_dir():
+        raise FileAccessError(f"{output}: the report needs a folder, and this is a file")
+    parent = next((p for p in (output, *output.parents) if p.exists()), Path())
+    if not parent.is_dir():
+        raise FileAccessError(f"{output}: cannot be made: {parent} is not a folder")
+
+
+def _make(output: Path) -> Path:
+    from hexmap.errors import FileAccessError
+
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"{output}: cannot be made: {error.strerror}") from error
+    return output
+
+
+def _write(report: object, output: Path) -> None:
+    from hexmap.experiments.report import Report
+
+    assert isinstance(report, Report)
+    for path in report.write(_make(output)):
+        say(f"wrote {path}")
