@@ -268,16 +268,16 @@ class ScanMatcher:
         """Pull the scan onto the occupied cells around it: expectation maximisation on a sum of Gaussians.
 
         Each point is drawn to the mean of the occupied cells near it, weighted by a Gaussian of
-        their distance, whose width shrinks from the error the search may leave (three quarters of
-        its resolution) to that of the quantised map (four fifths of the finer one's).
+        their distance. Its width is half a resolution, what quantising leaves unknown: first that
+        of the lattice searched on, then that of the finer one.
         """
         from localisation import _matcher_kernels as kernels
 
         fine = world.lattice
         n = fine.dim
         size = 3 if n == 2 else 6
-        last = 0.8 * fine.resolution
-        widths = [last] if lattice == fine else [0.75 * lattice.resolution, last]
+        last = 0.5 * fine.resolution
+        widths = [last] if lattice == fine else [0.5 * lattice.resolution, last]
         margin = math.ceil((2.5 * widths[0] + 2.0 * lattice.resolution) / fine.inradius / 2.0) + 1
         index = fine.quantise(start.apply(p)).astype(np.int64)
         low = index.min(axis=0) - margin
