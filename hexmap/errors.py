@@ -24,6 +24,10 @@ class ArgumentError(HexmapError, ValueError):
     """A value given to a function or an option is out of its range or of the wrong shape."""
 
 
+class TooLargeError(HexmapError, MemoryError):
+    """What was asked for would not fit into memory; the text says the size, before anything is allocated."""
+
+
 class LogError(HexmapError, ValueError):
     """A log cannot be read; the text names the file and, where there is one, the line."""
 

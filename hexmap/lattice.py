@@ -22,8 +22,10 @@ misprints put right:
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping
 from functools import cached_property, lru_cache
+from numbers import Real
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -39,6 +41,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IndexArray: TypeAlias = NDArray[np.int32]
 
 _H = math.sqrt(3.0) / 2.0
+FLATTEST = 1000.0  # of the reduced basis; beyond it float64 no longer tells the faces of a cell apart
 
 # name: (title, basis vectors as rows, in any unit, other spellings)
 _NAMED: dict[str, tuple[str, list[list[float]], tuple[str, ...]]] = {
@@ -54,7 +57,7 @@ _NAMED: dict[str, tuple[str, list[list[float]], tuple[str, ...]]] = {
     "A2xZ": ("hexagonal prism", [[1.5, _H, 0], [0, 2 * _H, 0], [0, 0, 2 * _H]], ("prism",)),
 }
 NAMES: tuple[str, ...] = tuple(_NAMED)
-_ALIASES = {alias: name for name, (_, _, spellings) in _NAMED.items() for alias in (name, *spellings)}
+_ALIASES = {alias.casefold(): name for name, (_, _, spellings) in _NAMED.items() for alias in (name, *spellings)}
 
 
 def default_name(dim: int) -> str:
@@ -157,10 +160,11 @@ class Lattice:
         Raises:
             LatticeError: the name is not known, or the resolution is not a positive number.
         """
-        key = _ALIASES.get(name) or _ALIASES.get(name.upper()) or _ALIASES.get(name.lower())
+        key = _ALIASES.get(name.casefold()) if isinstance(name, str) else None
         if key is None:
             raise LatticeError(f"no lattice is called {name!r}; known are {', '.join(NAMES)}")
-        if not (isinstance(resolution, (int, float)) and math.isfinite(resolution) and resolution > 0.0):
+        number = isinstance(resolution, Real) and not isinstance(resolution, bool)
+        if not (number and math.isfinite(resolution) and resolution > 0.0):
             raise LatticeError(f"a resolution must be a positive number of metres, not {resolution!r}")
         B = np.array(_NAMED[key][1], dtype=np.float64).T
         unit = abs(np.linalg.det(B)) ** (1.0 / len(B))
@@ -172,6 +176,11 @@ class Lattice:
         gram = self.basis.T @ self.basis
         U = np.ascontiguousarray(geometry.reduce_basis(gram))
         reduced = self.basis @ U
+        sides = np.linalg.norm(reduced, axis=0)
+        if sides.max() > FLATTEST * sides.min():
+            raise LatticeError(
+                f"the cells of a lattice may be {FLATTEST:g} times as long as wide, not {sides.max() / sides.min():.3g}"
+            )
         G = np.ascontiguousarray(geometry.commensurate(reduced.T @ reduced))
         self._to_public = np.ascontiguousarray(U, dtype=np.float64)
         self._to_reduced = np.rint(np.linalg.inv(U)).astype(np.int64)
@@ -447,6 +456,7 @@ class Lattice:
         return np.ceil(np.maximum(gauge, 0.0) - 1e-7).astype(np.int64)
 
     def _ball_offsets(self, radius: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        radius = operator.index(radius)
         if radius < 0:
             raise ArgumentError(f"a number of steps cannot be negative, as {radius} is")
         reach = radius * np.abs(self.neighbours).max(axis=0)
@@ -455,15 +465,22 @@ class Lattice:
         steps = self.steps(np.zeros_like(offsets), offsets)
         return offsets[steps <= radius], steps[steps <= radius]
 
+    def _one_cell(self, cell: ArrayLike) -> NDArray[np.int64]:
+        """Return one index (n,), if it is one."""
+        c = np.asarray(cell)
+        if c.shape != (self.dim,) or not np.issubdtype(c.dtype, np.integer):
+            raise ArgumentError(f"a cell of {self.name} is {self.dim} integers, not {cell!r}")
+        return c.astype(np.int64)
+
     def disk(self, centre: ArrayLike, radius: int) -> IndexArray:
         """Return the cells (K, n) at most ``radius`` steps from ``centre`` (n,), lexicographically."""
         offsets, _ = self._ball_offsets(radius)
-        return self.check_index(np.asarray(centre, dtype=np.int64) + offsets)
+        return self.check_index(self._one_cell(centre) + offsets)
 
     def ring(self, centre: ArrayLike, radius: int) -> IndexArray:
         """Return the cells (K, n) exactly ``radius`` steps from ``centre`` (n,), lexicographically."""
         offsets, steps = self._ball_offsets(radius)
-        return self.check_index(np.asarray(centre, dtype=np.int64) + offsets[steps == radius])
+        return self.check_index(self._one_cell(centre) + offsets[steps == radius])
 
     def line(self, start: ArrayLike, end: ArrayLike) -> IndexArray:
         """Return the cells (steps + 1, n) of a shortest chain of neighbours along the straight line.
@@ -471,10 +488,7 @@ class Lattice:
         Of the neighbours that are one step nearer to the end, the chain takes the one nearest to
         the point of the straight line at the same part of the way, ties to the lower offset.
         """
-        a = np.asarray(start, dtype=np.int64)
-        b = np.asarray(end, dtype=np.int64)
-        if a.shape != (self.dim,) or b.shape != (self.dim,):
-            raise ArgumentError(f"the ends of a line must be ({self.dim},), not {a.shape} and {b.shape}")
+        a, b = self._one_cell(start), self._one_cell(end)
         total = int(self.steps(a[None], b[None])[0])
         cells = [a]
         offsets = self.neighbours[np.lexsort(self.neighbours.T[::-1])]

@@ -157,7 +157,14 @@ class Map:
 
     def sources(self) -> list[dict[str, Any]]:
         """Return where the map came from: one entry for each log, with its settings and versions."""
-        return [json.loads(text) for text in self.provenance]
+        found = []
+        for text in self.provenance:
+            try:
+                value = json.loads(text)
+            except ValueError:
+                value = text
+            found.append(value if isinstance(value, dict) else {"note": value})
+        return found
 
     def state(self, rule: StateRule | None = None, level: int = 0) -> States:
         """Return which cells of a level are occupied and which are free, by one rule for all users."""
@@ -319,6 +326,8 @@ class MapBuilder:
             )
         from hexmap.rays import traverse
 
+        if not np.isfinite(scan.points).all():
+            self.lattice.quantise(scan.points)  # raises, naming the row
         ranges = np.sqrt((scan.points**2).sum(axis=1))
         hit = (ranges >= self._min_range) & (ranges <= self._max_range)
         beyond = ranges > self._max_range

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.errors import ArgumentError
+from hexmap.errors import ArgumentError, TooLargeError
 from hexmap.lattice import Lattice
 
 __all__ = ["RayCells", "traverse"]
+
+MAX_CELLS = 1 << 26  # of one call: half a gibibyte in the plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,7 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
     Raises:
         ArgumentError: shapes that do not fit.
         BoundsError: an end is not finite or out of range.
+        TooLargeError: the rays pass too many cells for one call.
     """
     p0 = np.ascontiguousarray(starts, dtype=np.float64)
     p1 = np.ascontiguousarray(ends, dtype=np.float64)
@@ -64,7 +67,13 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
     offset = u0 - lattice.reduced_index(first)
     tables = lattice.ray_tables
     room = kernels.count_bound(u0, u1, tables.planes, tables.half)
-    out = np.empty((int(room.sum()), lattice.dim), np.int32)
+    total = int(room.sum())
+    if total > MAX_CELLS:
+        raise TooLargeError(
+            f"rays of up to {total:,} cells at resolution {lattice.resolution:g} m are more than {MAX_CELLS:,}; "
+            "take a coarser resolution or shorter rays"
+        )
+    out = np.empty((total, lattice.dim), np.int32)
     offsets = np.zeros(len(p0) + 1, np.int64)
     used = kernels.traverse(
         u0, u1, offset, first, last, tables.planes, tables.half, tables.products, tables.vectors, room, out, offsets[1:]

@@ -20,7 +20,7 @@ __all__ = ["Event", "Odometry", "Scan"]
 
 
 def _rows(values: object, what: str) -> NDArray[np.float64]:
-    a = np.ascontiguousarray(values, dtype=np.float64)
+    a = np.ascontiguousarray(values, dtype=np.float64)[:]  # a view: the caller's array stays writable
     if a.ndim != 2 or a.shape[1] not in (2, 3):
         raise ArgumentError(f"the {what} of a scan must be (N, 2) or (N, 3), not {a.shape}")
     a.setflags(write=False)

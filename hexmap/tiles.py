@@ -6,16 +6,20 @@ builder, which adds hits and passes, and the scan matcher, which asks for the co
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.cells import pack
+from hexmap.errors import TooLargeError
 from hexmap.lattice import Lattice
 from hexmap.voxels import VoxelList
 
 __all__ = ["HITS", "PASSES", "CellCounter"]
 
 HITS, PASSES = 0, 1
+MAX_WINDOW = 1 << 25  # cells of a dense window: 0.25 GiB a channel
 _BITS = {2: 4, 3: 3}  # tiles of 16 x 16 or 8 x 8 x 8 cells
 
 
@@ -65,7 +69,13 @@ class CellCounter:
         """Return the counts in the box of ``shape`` (n,) cells from the index ``low`` (n,) on."""
         from hexmap import _tiles_kernels as kernels
 
-        out = np.zeros(int(np.prod(shape)), np.int64)
+        size = math.prod(int(s) for s in shape)
+        if size > MAX_WINDOW:
+            raise TooLargeError(
+                f"a window of {size:,} cells at resolution {self.lattice.resolution:g} m is more than {MAX_WINDOW:,}; "
+                "take a coarser resolution or a shorter maximum range"
+            )
+        out = np.zeros(size, np.int64)
         if out.size:
             kernels.window(
                 np.asarray(low, np.int64), np.asarray(shape, np.int64), channel, self._bits,

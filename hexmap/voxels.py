@@ -44,8 +44,8 @@ class VoxelList:
 
     def __init__(self, lattice: Lattice, keys: KeyArray, counts: CountArray) -> None:
         """Wrap columns that are already sorted and unique; use the ``from_`` functions otherwise."""
-        keys = np.ascontiguousarray(keys, dtype=np.int64)
-        counts = np.ascontiguousarray(counts, dtype=np.int64)
+        keys = np.ascontiguousarray(keys, dtype=np.int64)[:]  # views: the caller's arrays stay writable
+        counts = np.ascontiguousarray(counts, dtype=np.int64)[:]
         keys.setflags(write=False)
         counts.setflags(write=False)
         self.lattice = lattice
@@ -81,6 +81,8 @@ class VoxelList:
         c = np.asarray(counts)
         if c.shape != (len(i),) or (c.size and not np.issubdtype(c.dtype, np.integer)) or (c.size and c.min() < 1):
             raise ArgumentError("counts must be one integer of at least 1 for each index")
+        if c.size and float(c.astype(np.float64).sum()) >= 2.0**63:
+            raise BoundsError("the counts add up to more than 2^63 - 1")
         keys = pack(i)
         order = np.argsort(keys, kind="stable")
         keys, c = keys[order], c[order].astype(np.int64)

@@ -212,6 +212,10 @@ def _associate(
             f"the {len(sparse)} poses of the {name} have only {different} different stamps, "
             "so they cannot be told apart by time; use --associate order"
         )
+    if np.array_equal(reference.stamps, estimate.stamps):
+        # Stamps repeat in real logs; where both list the same ones, each pose goes with its own.
+        both = np.arange(len(reference))
+        return both, both, 0
     found, off = dense.nearest(sparse.stamps)
     ok = off <= tolerance
     if not ok.any():

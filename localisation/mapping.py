@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hexmap.errors import ArgumentError, HexmapError, LogError, TrajectoryError
+from hexmap.errors import ArgumentError, BoundsError, HexmapError, LogError, TooLargeError, TrajectoryError
 from hexmap.lattice import Lattice
 from hexmap.logs import Log, LogSettings
 from hexmap.maps import Map, MapBuilder, StateRule
@@ -23,7 +23,7 @@ from hexmap.scan import Event, Odometry, Scan
 from hexmap.trajectory import Trajectory
 from localisation.matcher import CounterOccupancy, Match, ScanMatcher, SearchWindow
 
-__all__ = ["MappingResult", "MappingSettings", "ScanMapper", "build_map", "fuse_log", "scans_at_poses"]
+__all__ = ["MappingResult", "MappingSettings", "ScanMapper", "build_map", "fuse_log", "readings_at_poses"]
 
 Progress = Callable[[int], None]
 OnPose = Callable[[float, Pose, bool], None]
@@ -100,6 +100,14 @@ class MappingSettings:
         if unknown:
             raise ArgumentError(f"no setting is called {unknown[0]!r}; known are {', '.join(sorted(known))}")
         values = dict(value)
+        for name, kinds in _KINDS.items():
+            if name in values and (
+                not isinstance(values[name], kinds) or isinstance(values[name], bool) != (kinds is bool)
+            ):
+                raise ArgumentError(f"the setting {name} has a wrong value: {values[name]!r}")
+        for part in ("rule", "log"):
+            if part in values and not isinstance(values[part], Mapping):
+                raise ArgumentError(f"the setting {part} has a wrong value: {values[part]!r}")
         try:
             if "rule" in values:
                 values["rule"] = StateRule(**values["rule"])
@@ -110,6 +118,21 @@ class MappingSettings:
             raise
         except (TypeError, ValueError) as error:
             raise ArgumentError(f"not a configuration of a map: {error}") from error
+
+
+_KINDS: dict[str, Any] = {
+    "lattice": (str, list),
+    "resolution": (int, float),
+    "levels": int,
+    "min_range": (int, float),
+    "max_range": (int, float, type(None)),
+    "clear_no_return": (int, float),
+    "mount": (list, tuple, type(None)),
+    "search_metres": (int, float),
+    "search_radians": (int, float),
+    "search_level": int,
+    "use_odometry": bool,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +179,8 @@ class ScanMapper:
         self._T_map_robot = Pose.identity(2)
         self._last_motion = Pose.identity(2)
         self._T_odom_robot: Pose | None = None
-        self._waiting: list[tuple[float, Pose]] = []
+        self._waiting: list[tuple[float, Pose | None]] = []
+        self.jumps = 0
         self.last_match: Match | None = None
         self.matched = 0
         self.unmatched = 0
@@ -169,10 +193,8 @@ class ScanMapper:
         their share of its correction.
         """
         if isinstance(event, Odometry):
-            if self.settings.use_odometry:
-                self._waiting.append((event.stamp, self._predict(event.pose)))
-            else:
-                self._waiting.append((event.stamp, self._T_map_robot))
+            predicted = self._predict(event.pose) if self.settings.use_odometry else None
+            self._waiting.append((event.stamp, predicted))
             if self._T_odom_robot is None and self.settings.use_odometry:
                 self._T_odom_robot = event.pose
             if len(self._waiting) >= 10_000:  # a log that drives on without a laser must not fill the memory
@@ -182,15 +204,19 @@ class ScanMapper:
         if odometry is not None:
             if self._T_odom_robot is None:
                 self._T_odom_robot = odometry
-            predicted = self._predict(odometry)
-        elif self._waiting and self.settings.use_odometry:
-            predicted = self._waiting[-1][1]
+            by_wheels = self._predict(odometry)
         else:
-            predicted = self._T_map_robot @ self._last_motion
+            by_wheels = self._waiting[-1][1] if self._waiting else None
+        predicted = by_wheels if by_wheels is not None else self._T_map_robot @ self._last_motion
         T_map_robot = self._match(event, predicted)
         correction = predicted.inverse() @ T_map_robot
+        motion = self._T_map_robot.inverse() @ T_map_robot
         for k, (stamp, pose) in enumerate(self._waiting):
-            yield stamp, pose @ _part_of(correction, (k + 1) / (len(self._waiting) + 1)), False
+            part = (k + 1) / (len(self._waiting) + 1)
+            if pose is None:  # nothing is known but the scans before and after
+                yield stamp, self._T_map_robot @ _part_of(motion, part), False
+            else:
+                yield stamp, pose @ _part_of(correction, part), False
         self._waiting.clear()
         yield event.stamp, T_map_robot, True
         self._last_motion = self._T_map_robot.inverse() @ T_map_robot
@@ -201,14 +227,18 @@ class ScanMapper:
     def finish(self) -> Iterator[tuple[float, Pose, bool]]:
         """Yield the readings after the last scan, at their predicted poses."""
         for stamp, pose in self._waiting:
-            yield stamp, pose, False
+            yield stamp, pose if pose is not None else self._T_map_robot, False
         self._waiting.clear()
 
-    def _predict(self, odometry: Pose) -> Pose:
-        """Return T_map_robot of an odometry reading, carried on from the last scan."""
+    def _predict(self, odometry: Pose) -> Pose | None:
+        """Return T_map_robot of an odometry reading, carried on from the last scan; None where it cannot be true."""
         if self._T_odom_robot is None:
             return self._T_map_robot
-        return self._T_map_robot @ (self._T_odom_robot.inverse() @ odometry)
+        motion = self._T_odom_robot.inverse() @ odometry
+        if math.hypot(motion.x, motion.y) > FARTHEST_JUMP:
+            self.jumps += 1
+            return None
+        return self._T_map_robot @ motion
 
     def _match(self, scan: Scan, predicted: Pose) -> Pose:
         """Match a scan around ``predicted`` (T_map_robot), fuse it at the pose found and return that."""
@@ -248,6 +278,8 @@ class ScanMapper:
         return best
 
 
+# Metres that no robot drives between a scan and the next reading: a damaged number or a reset of the odometry.
+FARTHEST_JUMP = 100.0
 # A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
 WIDENING = (1.0, 2.0, 4.0)
 ENOUGH = 0.5
@@ -328,15 +360,22 @@ def build_map(
     settings = settings or MappingSettings()
     mapper: ScanMapper | None = None
     way = _Way(on_pose)
+    unusable = _Unusable(log)
     for event in log:
         if mapper is None:
             mapper = ScanMapper(settings, log.mount)
-        for reading in mapper.add(event):
+        try:
+            readings = list(mapper.add(event))
+        except (BoundsError, TooLargeError) as error:
+            unusable.add(event, error)
+            continue
+        for reading in readings:
             way.add(*reading)
         if progress is not None and isinstance(event, Scan):
             progress(mapper.builder.scans)
     if mapper is None:
         raise LogError(f"{log.path}: there is no laser reading in it")
+    unusable.check(mapper.builder.scans)
     for reading in mapper.finish():
         way.add(*reading)
     return MappingResult(
@@ -348,8 +387,41 @@ def build_map(
         skipped=0,
         mean_part=mapper.part_sum / mapper.matched if mapper.matched else 0.0,
         metres=way.metres,
-        warnings=list(log.warnings),
+        warnings=[*log.warnings, *unusable.warnings, *_jumps(log, mapper.jumps)],
     )
+
+
+def _jumps(log: Log, count: int) -> list[str]:
+    if not count:
+        return []
+    return [
+        f"{log.path}: odometry jumps by more than {FARTHEST_JUMP:g} m {count} times; the last motion was used there"
+    ]
+
+
+class _Unusable:
+    """Counts the scans that cannot go into the map and remembers the first, for one clear line."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._count = 0
+        self._first = ""
+
+    def add(self, event: Event, error: Exception) -> None:
+        if self._count == 0:
+            self._first = f"line {event.line}: {error}" if event.line is not None else str(error)
+        self._count += 1
+
+    def check(self, used: int) -> None:
+        """Raise where not one scan could be used."""
+        if self._count and not used:
+            raise LogError(f"{self._log.path}: no scan can be used, {self._first}")
+
+    @property
+    def warnings(self) -> list[str]:
+        if not self._count:
+            return []
+        return [f"{self._log.path}: {self._count} scans cannot be used and are left out, the first at {self._first}"]
 
 
 class _Way:
@@ -368,10 +440,10 @@ class _Way:
             self._on_pose(stamp, pose, is_scan)
 
 
-def scans_at_poses(
+def readings_at_poses(
     log: Log, poses: Trajectory, *, associate: str | None = None, tolerance: float = 0.1
-) -> Iterator[tuple[Scan, Pose | None]]:
-    """Yield each scan of a log with its given pose (T_map_robot), None where it has none.
+) -> Iterator[tuple[Event, Pose | None]]:
+    """Yield each reading of a log with its given pose (T_map_robot), None where it has none.
 
     Poses go with scans by order where there are as many as scans, or as many as laser and
     odometry readings together (what :func:`build_map` writes); else by time, each scan with the
@@ -380,9 +452,11 @@ def scans_at_poses(
 
     Raises:
         LogError: the log cannot be read or has no laser reading.
-        TrajectoryError: the poses do not go by the order asked for.
+        TrajectoryError: the poses do not go by the order asked for, or are not planar.
         ArgumentError: ``associate`` is neither.
     """
+    if not poses.planar:
+        raise TrajectoryError("poses in space cannot place a planar log: z, roll and pitch must be 0")
     if associate not in (None, "order", "time"):
         raise ArgumentError(f"poses associate by 'order' or 'time', not {associate!r}")
     scans = odometry = 0
@@ -398,13 +472,15 @@ def scans_at_poses(
     by_order = associate != "time" and (each_scan or each_event)
     seen = 0
     for at, event in enumerate(log):
-        if isinstance(event, Scan):
-            if by_order:
-                yield event, poses[seen if each_scan else at]
-            else:
-                k, off = poses.nearest([event.stamp])
-                yield event, poses[int(k[0])] if off[0] <= tolerance else None
-            seen += 1
+        is_scan = isinstance(event, Scan)
+        if not by_order:
+            k, off = poses.nearest([event.stamp])
+            yield event, poses[int(k[0])] if off[0] <= tolerance else None
+        elif each_event:
+            yield event, poses[at]
+        else:
+            yield event, poses[seen] if is_scan else None
+        seen += is_scan
 
 
 def fuse_log(
@@ -419,7 +495,7 @@ def fuse_log(
 ) -> MappingResult:
     """Map a log whose poses (T_map_robot) are known.
 
-    How poses go with scans is said at :func:`scans_at_poses`; scans without a pose are left out
+    How poses go with scans is said at :func:`readings_at_poses`; scans without a pose are left out
     and counted.
 
     Raises:
@@ -431,16 +507,26 @@ def fuse_log(
     mount: Pose | None = None
     skipped = seen = 0
     way = _Way(on_pose)
-    for scan, pose in scans_at_poses(log, poses, associate=associate, tolerance=tolerance):
+    unusable = _Unusable(log)
+    for event, pose in readings_at_poses(log, poses, associate=associate, tolerance=tolerance):
+        if isinstance(event, Odometry):
+            if pose is not None:
+                way.add(event.stamp, pose, False)
+            continue
         mount = mount or make_mount(settings, log.mount)
         if pose is None:
             skipped += 1
         else:
-            way.add(scan.stamp, pose, True)
-            builder.fuse(scan, pose @ mount)
+            try:
+                builder.fuse(event, pose @ mount)
+            except (BoundsError, TooLargeError) as error:
+                unusable.add(event, error)
+            else:
+                way.add(event.stamp, pose, True)
         seen += 1
         if progress is not None:
             progress(seen)
+    unusable.check(builder.scans)
     if builder.scans == 0:
         raise TrajectoryError(
             f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {seen} scans of {log.path}"
@@ -454,5 +540,5 @@ def fuse_log(
         skipped=skipped,
         mean_part=0.0,
         metres=way.metres,
-        warnings=list(log.warnings),
+        warnings=[*log.warnings, *unusable.warnings],
     )

@@ -19,11 +19,11 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.errors import ArgumentError
+from hexmap.errors import ArgumentError, TooLargeError
 from hexmap.lattice import Lattice
 from hexmap.maps import Map, StateRule
 from hexmap.pose import Pose
-from hexmap.tiles import HITS, PASSES, CellCounter
+from hexmap.tiles import HITS, MAX_WINDOW, PASSES, CellCounter
 from hexmap.voxels import VoxelList
 
 __all__ = ["CounterOccupancy", "ListOccupancy", "Match", "Occupancy", "ScanMatcher", "SearchWindow"]
@@ -156,7 +156,7 @@ class ScanMatcher:
         farthest = _farthest(points)
         if farthest <= lattice.resolution:
             return math.pi / 3.0
-        return math.acos(1.0 - 0.5 * (lattice.resolution / farthest) ** 2)
+        return 2.0 * math.asin(0.5 * lattice.resolution / farthest)
 
     def rotations(self, points: FloatArray, lattice: Lattice, radians: float) -> FloatArray:
         """Return the turns (R, n, n) of the window about the prediction, the identity among them.
@@ -166,6 +166,12 @@ class ScanMatcher:
         """
         step = self.angular_step(points, lattice)
         count = math.floor(radians / step + 1e-9)
+        turns = (2 * count + 1) ** (1 if lattice.dim == 2 else 3)
+        if turns * max(len(points), 1) > MAX_WINDOW:
+            raise TooLargeError(
+                f"points up to {_farthest(points):g} m away at resolution {lattice.resolution:g} m need {turns:,} turns "
+                f"of {len(points):,} points; take a coarser resolution, a shorter maximum range or a smaller search"
+            )
         if lattice.dim == 2:
             angles = np.arange(-count, count + 1) * step
             c, s = np.cos(angles), np.sin(angles)
@@ -198,6 +204,7 @@ class ScanMatcher:
         Raises:
             ArgumentError: points, pose and lattice are not of the same dimension.
             BoundsError: a point falls outside the range of indices.
+            TooLargeError: scan or window span too many cells or turns.
         """
         lattice = world.lattice
         n = lattice.dim
@@ -242,7 +249,15 @@ class ScanMatcher:
         low = index.min(axis=0).astype(np.int64) - reach
         shape = index.max(axis=0).astype(np.int64) - reach + (blocks << top) - low + 1
         strides = _strides(shape)
+        size = math.prod(int(s) for s in shape)
+        if size > MAX_WINDOW:
+            raise TooLargeError(
+                f"a scan that spans {size:,} cells at resolution {lattice.resolution:g} m is more than {MAX_WINDOW:,}; "
+                "take a coarser resolution, a shorter maximum range or a smaller search"
+            )
         cells = world.occupied(low, shape).ravel()
+        if not cells.any():
+            return None
         grids = np.empty((top + 1, cells.size), np.uint8)
         grids[0] = cells
         for level in range(top):

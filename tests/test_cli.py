@@ -208,3 +208,62 @@ def test_ctrl_c_stops_within_a_second_and_leaves_no_half_written_file(tmp_path: 
     assert err.strip().count("\n") == 0 and "stopped" in err and out == ""
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.parquet", "office.clf"]
     assert old.read_bytes() == b"an old map"
+
+
+def test_what_a_reviewer_broke_stays_mended(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, out = folder / "room.clf.gz", tmp_path / "out.parquet"
+    for text in ('{"levels": 2.5}', '{"levels": null}', '{"min_range": "a"}', '{"rule": 5}', '{"use_odometry": "no"}',
+                 '{"log": {"foo": 1}}', '{"lattice": [[1, 0], [0, 1e-7]]}', "[" * 100_000, "[1]"):  # fmt: skip
+        config = tmp_path / "c.json"
+        config.write_text(text)
+        assert "c.json" in failure(capsys, "build", log, "-o", out, "--config", config)
+    # a saved configuration names the level that was searched on; fewer levels must still work
+    assert call("build", log, "-o", out, "--config", folder / "room.parquet", "--levels", 1) == 0
+    assert call("build", log, "-o", out, "--poses", folder / "room.tum", "--trajectory", tmp_path / "t.tum") == 0
+    assert len((tmp_path / "t.tum").read_text().splitlines()) == len((folder / "room.tum").read_text().splitlines())
+    capsys.readouterr()
+    assert call("evaluate", folder / "t.tum", "--reference", folder / "t.tum") == 0
+    assert "mean 0.0000" in capsys.readouterr().out
+    disguised = tmp_path / "m.pgm"
+    disguised.write_bytes((folder / "room.parquet").read_bytes())
+    assert "overwrite" in failure(capsys, "export", disguised, "-o", tmp_path / "m.yaml")
+    space = tmp_path / "space.tum"
+    space.write_text("0.0 0 0 1.5 0 0 0 1\n")
+    assert "space.tum" in failure(capsys, "build", log, "-o", out, "--poses", space)
+    assert "1 to 16" in failure(capsys, "build", log, "-o", out, "--levels", 0)
+    assert call() == 2
+    assert capsys.readouterr().err.count("\n") > 5  # the help, readable
+
+
+def test_a_damaged_odometry_value_or_range_costs_little(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("simulate", "room", "-o", tmp_path / "a.clf", "--duration", 8) == 0
+    lines = (tmp_path / "a.clf").read_text().splitlines()
+    scans = [k for k, line in enumerate(lines) if line.startswith("FLASER")]
+    for value, part in (("1e9", -9), ("1e300", -6), ("1e7", 30)):
+        fields = lines[scans[20]].split()
+        fields[part] = value
+        if part == -9:
+            fields[-6] = value
+        bad = tmp_path / "bad.clf"
+        bad.write_text("\n".join([*lines[: scans[20]], " ".join(fields), *lines[scans[20] + 1 :]]) + "\n")
+        capsys.readouterr()
+        arguments = ["build", bad, "-o", tmp_path / "m.parquet"] + (["--no-return", "inf"] if part == 30 else [])
+        assert call(*arguments) == 0
+        _, err = capsys.readouterr()
+        assert err.startswith("warning: ") and "bad.clf" in err
+        assert len(load_map(tmp_path / "m.parquet").levels[0].hits) > 300
+        low, high = load_map(tmp_path / "m.parquet").bounds()
+        # with --no-return inf the laser's 81.83 m are points, too
+        assert (high - low).max() < (200.0 if part == 30 else 20.0)
+    text = failure(capsys, "build", tmp_path / "a.clf", "-o", tmp_path / "n.parquet", "--resolution", "1e-5")
+    assert "no scan can be used, line" in text and "coarser" in text
+
+
+def test_a_reader_that_leaves_is_no_error(folder: Path) -> None:
+    command = f'"{sys.executable}" -m hexmap info "{folder / "room.parquet"}" | true; exit ${{PIPESTATUS[0]}}'
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0 and done.stderr == ""
+    closed = f'"{sys.executable}" -m hexmap lattices >&-'
+    assert subprocess.run(["bash", "-c", closed], capture_output=True, timeout=60, check=False).returncode == 0

@@ -196,3 +196,11 @@ def test_belgioioso_agrees_with_the_particle_filter(data_dir: Path) -> None:
     reference = read_tum(data_dir / "laser2d" / "belgioioso.rbpf.tum")
     error = absolute_error(reference, trajectory[np.flatnonzero(scans)], "order")
     assert error.translation.mean < 0.15  # the reference itself is good to about a decimetre
+
+
+def test_without_odometry_readings_lie_between_the_scans(drive: tuple[Path, Path]) -> None:
+    log, truth = drive
+    _, trajectory, scans = run(log, use_odometry=False)
+    between = np.flatnonzero(~scans)
+    error = absolute_error(read_tum(truth)[between], trajectory[between], "order")
+    assert error.translation.mean < 0.05

@@ -6,43 +6,51 @@ This is the roof of the house: it sees everything and nothing imports it.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
+from typing import Any
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 for bad input, 2 for wrong usage, 130 for Ctrl-C."""
-    interrupted = False
+    # A closed stream (program >&-) is None, which nobody expects.
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    interrupted = 0
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
-        interrupted = True
+        interrupted = number
         raise KeyboardInterrupt
 
-    before = None
+    before: dict[int, Any] = {}
     with contextlib.suppress(ValueError):  # not the main thread: leave signals alone
-        before = signal.signal(signal.SIGINT, note)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before[number] = signal.signal(number, note)
     try:
         # Even while modules load, Ctrl-C must end in one line.
         from hexmap.cli.commands import run
 
         return run(list(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt:
-        return _stopped()
+        return _stopped(interrupted)
     except Exception:
         # The kernels' compiler swallows a KeyboardInterrupt and then fails in its own way.
         if interrupted:
-            return _stopped()
+            return _stopped(interrupted)
         raise
     finally:
-        if before is not None:
-            signal.signal(signal.SIGINT, before)
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
 
 
-def _stopped() -> int:
+def _stopped(number: int) -> int:
     sys.stderr.write("\nhexmap: stopped; what was not yet announced as written is as it was\n")
-    return 130
+    return 128 + (number or signal.SIGINT)

@@ -151,13 +151,14 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
 
     from hexmap.logs import open_log
     from hexmap.pose import Pose
+    from hexmap.scan import Scan
     from hexmap.trajectory import read_tum
-    from localisation.mapping import scans_at_poses
+    from localisation.mapping import readings_at_poses
 
     log = open_log(path)
     chunks = [
         (T_map_robot @ (log.mount or Pose.identity(2))).apply(scan.points)
-        for scan, T_map_robot in scans_at_poses(log, read_tum(poses))
-        if T_map_robot is not None
+        for scan, T_map_robot in readings_at_poses(log, read_tum(poses))
+        if T_map_robot is not None and isinstance(scan, Scan)
     ]
     return np.concatenate(chunks) if chunks else np.empty((0, 2)), list(log.warnings)

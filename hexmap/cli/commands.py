@@ -63,6 +63,9 @@ def run(arguments: list[str]) -> int:
         return code if isinstance(code, int) else 0
     except HexmapError as error:
         return _fail(str(error))
+    except SystemExit as leaving:
+        # The parser leaves this way with 1 when the reader of our output has gone (hexmap info m.parquet | head).
+        return 0 if type(sys.stdout).__name__ == "PacifyFlushWrapper" else int(leaving.code or 0)
     except BrokenPipeError:
         # The reader of our output left (hexmap info m.parquet | head); keep the interpreter from saying so again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -75,7 +78,11 @@ def run(arguments: list[str]) -> int:
         # Wrong usage: the parser's own errors know their code and their text.
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):
             text = error.format_message()
-            if text:
+            if type(error).__name__ == "NoArgsIsHelpError":
+                sys.stderr.write(text.rstrip() + "\n")
+            elif "is not readable" in text:  # a bad file, not wrong usage
+                return _fail(text)
+            elif text:
                 command = getattr(getattr(error, "ctx", None), "command_path", "hexmap")
                 sys.stderr.write(f"hexmap: {' '.join(text.split())} (see: {command} --help)\n")
             return int(error.exit_code)

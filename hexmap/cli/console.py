@@ -42,7 +42,7 @@ def check_outputs(outputs: dict[str, Path | None], inputs: tuple[Path, ...] = ()
         FileAccessError: a folder does not exist or cannot be written to.
         ArgumentError: two outputs, or an output and an input, are the same file.
     """
-    seen: dict[str, str] = {}
+    seen: dict[str, Path] = {}
     for option, path in outputs.items():
         if path is None:
             continue
@@ -53,14 +53,24 @@ def check_outputs(outputs: dict[str, Path | None], inputs: tuple[Path, ...] = ()
             raise FileAccessError(f"{path}: cannot be written: it is a folder")
         if not os.access(folder, os.W_OK):
             raise FileAccessError(f"{path}: cannot be written: the folder is write-protected")
-        real = os.path.realpath(path)
-        if real in seen:
-            raise ArgumentError(f"{seen[real]} and {option} are the same file: {path}")
-        seen[real] = option
+        for other, there in seen.items():
+            if _same(path, there):
+                raise ArgumentError(f"{other} and {option} are the same file: {path}")
+        seen[option] = path
     for path in inputs:
-        option_of = seen.get(os.path.realpath(path))
-        if option_of is not None:
-            raise ArgumentError(f"{option_of} would overwrite what is read: {path}")
+        for option, there in seen.items():
+            if _same(path, there):
+                raise ArgumentError(f"{option} would overwrite what is read: {path}")
+
+
+def _same(a: Path, b: Path) -> bool:
+    """Tell whether two paths are one file, through links of both kinds."""
+    if os.path.realpath(a) == os.path.realpath(b):
+        return True
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return False
 
 
 def first_run_note() -> None:

@@ -95,6 +95,7 @@ def build(
 ) -> None:
     """Build a map from a laser log: match every scan, or take given poses, and fuse."""
     from hexmap.drawing import check_picture
+    from hexmap.errors import TrajectoryError
     from hexmap.logs import open_log
     from hexmap.trajectory import read_tum
 
@@ -129,15 +130,25 @@ def build(
     )
     source = open_log(log, settings.log)
     given = read_tum(poses) if poses is not None else None
+    if given is not None and not given.planar:
+        raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
     first_run_note()
     _build(source, settings, output, trajectory, trajectory_of, picture, given, associate)
 
 
 def _settings(config: Path | None, **options: Any) -> MappingSettings:
     """Return the settings of a configuration file, or the defaults, with the options that were given."""
+    from hexmap.errors import ArgumentError, HexmapError
     from localisation.mapping import MappingSettings
 
     values = _read_config(config) if config is not None else {}
+    if config is not None:
+        try:
+            MappingSettings.from_dict(values)
+        except HexmapError as error:
+            raise type(error)(f"{config}: {error}") from error
+        if options.get("levels") is not None and "search_level" in values:
+            values["search_level"] = max(0, min(int(values["search_level"]), options["levels"] - 1))
     for name, value in options.items():
         if isinstance(value, dict):
             given = {k: v for k, v in value.items() if v is not None}
@@ -146,6 +157,8 @@ def _settings(config: Path | None, **options: Any) -> MappingSettings:
         elif value is not None:
             values[name] = value
     if "levels" in values and "search_level" not in values:
+        if int(values["levels"]) < 1:
+            raise ArgumentError(f"a map has 1 to 16 levels, not {values['levels']}")
         # A map of one level is searched on that one.
         values["search_level"] = min(1, int(values["levels"]) - 1)
     return MappingSettings.from_dict(values)
@@ -165,7 +178,7 @@ def _read_config(path: Path) -> dict[str, Any]:
     try:
         head = path.open("rb").read(4)
         if head == b"PAR1":
-            settings = [s["settings"] for s in load_map(path).sources() if "settings" in s]
+            settings = [s["settings"] for s in load_map(path).sources() if isinstance(s.get("settings"), dict)]
             if len(settings) != 1 and any(s != settings[0] for s in settings):
                 raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")
             if not settings:
@@ -177,6 +190,8 @@ def _read_config(path: Path) -> dict[str, Any]:
         raise FileAccessError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise FormatError(f"{path}: neither JSON nor a map of hexmap") from error
+    except RecursionError as error:
+        raise FormatError(f"{path}: not a configuration: nested too deeply") from error
     except json.JSONDecodeError as error:
         raise FormatError(f"{path}: line {error.lineno}: not JSON: {error.msg}") from error
     if not isinstance(value, dict):
@@ -222,7 +237,10 @@ def _build(
         save_map(output, result.map)
     for text in result.warnings:
         warn(text)
-    how = "given poses" if given is not None else f"{result.mean_part:.0%} of a scan's cells coincide on average"
+    if len(result.map.levels[0].hits) == 0:
+        warn(f"{source.path}: no point of it is in the map; see --min-range, --max-range and --no-return")
+    how = f"{result.mean_part:.0%} of a scan's cells coincide on average" if result.matched else "nothing to match"
+    how = "given poses" if given is not None else how
     say(
         f"{result.scans} scans, {result.odometry} odometry readings, {result.metres:.1f} m, "
         f"in {seconds:.1f} s ({1000 * seconds / max(result.scans, 1):.1f} ms a scan); {how}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,7 +34,7 @@ def info(
     world = load_map(map)
     sources = world.sources()
     if config:
-        settings = [s["settings"] for s in sources if "settings" in s]
+        settings = [s["settings"] for s in sources if isinstance(s.get("settings"), dict)]
         if not settings or any(s != settings[0] for s in settings):
             raise ArgumentError(f"{map}: made with {len(settings)} configurations, not with one")
         say(json.dumps(settings[0], indent=2))
@@ -52,7 +53,9 @@ def info(
         say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
     for source in sources:
         say(f"from {source.get('log', 'unknown')} ({source.get('format', 'unknown')}), poses: {source.get('poses')}")
-        say("versions: " + ", ".join(f"{k} {v}" for k, v in source.get("versions", {}).items()))
+        versions = source.get("versions")
+        if isinstance(versions, dict):
+            say("versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()))
         say("configuration (for --config):")
         say(json.dumps(source.get("settings"), indent=2))
 
@@ -109,7 +112,7 @@ def show(
     from hexmap.errors import ArgumentError
 
     if output is None and not viewer:
-        raise ArgumentError("say where to draw it (--output), or open a window (--viewer)")
+        raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
     check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
     about_points = lattice is not None or volume is not None or resolution is not None
     if not about_points and clouds.is_parquet(source) and not viewer:
@@ -191,7 +194,8 @@ def export(
     from hexmap.exports import export as export_map
     from hexmap.files import load_map
 
-    check_outputs({"--output": output}, (map,))
+    image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
+    check_outputs({"--output": output, "the image of --output": image}, (map,))
     world = load_map(map)
     for path in export_map(world, output, level=level, rule=_rule(min_hits, min_ratio, world.sources())):
         wrote(path, f"level {level}, {world.level(level).lattice.resolution:g} m")
@@ -201,9 +205,14 @@ def _rule(min_hits: int | None, min_ratio: float | None, sources: list[dict[str,
     """Return the rule the map was made with where all its sources agree, with what is set here instead."""
     from dataclasses import replace
 
+    from hexmap.errors import HexmapError
     from hexmap.maps import StateRule
 
-    rules = [s["settings"]["rule"] for s in sources if isinstance(s.get("settings"), dict) and "rule" in s["settings"]]  # type: ignore[index,operator]
-    rule = StateRule(**rules[0]) if rules and all(r == rules[0] for r in rules) else StateRule()
+    rules = [s["settings"].get("rule") for s in sources if isinstance(s.get("settings"), dict)]  # type: ignore[attr-defined]
+    rule = StateRule()
+    if rules and isinstance(rules[0], dict) and all(r == rules[0] for r in rules):
+        # A map that somebody else has made may say anything: then the default serves.
+        with contextlib.suppress(TypeError, HexmapError):
+            rule = StateRule(**rules[0])
     changes = {k: v for k, v in (("min_hits", min_hits), ("min_ratio", min_ratio)) if v is not None}
     return replace(rule, **changes)  # type: ignore[arg-type]
