@@ -169,7 +169,7 @@ class ScanMatcher:
         turns = (2 * count + 1) ** (1 if lattice.dim == 2 else 3)
         if turns * max(len(points), 1) > MAX_WINDOW:
             raise TooLargeError(
-                f"points up to {_farthest(points):g} m away at resolution {lattice.resolution:g} m need {turns:,} turns "
+                f"points {_farthest(points):g} m away at resolution {lattice.resolution:g} m need {turns:,} turns "
                 f"of {len(points):,} points; take a coarser resolution, a shorter maximum range or a smaller search"
             )
         if lattice.dim == 2:

@@ -1,7 +1,8 @@
 """``python -m tests.benchmarks``: all of them, one after the other."""
 
-from tests.benchmarks import experiments, mapping, voxels
+from tests.benchmarks import experiments, mapping, planning, voxels
 
 voxels.main()
 mapping.main()
 experiments.main()
+planning.main()
