@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hexmap.errors import ArgumentError
 from hexmap.experiments._cases import random_rotation
+from hexmap.experiments._timing import median_seconds
 from hexmap.experiments.report import Report
 from hexmap.experiments.statistics import Interval
 from hexmap.lattice import NAMES, Lattice
@@ -96,8 +97,8 @@ def quantiser_experiment(
         })  # fmt: skip
         spread = points * 1000.0  # as a map has them, not all in one cell
         quantise, listing = (
-            _seconds(lambda p=spread, v=lattice: v.quantise(p)),
-            _seconds(lambda p=spread, v=lattice: VoxelList.from_points(p, v)),
+            median_seconds(partial(lattice.quantise, spread)),
+            median_seconds(partial(VoxelList.from_points, spread, lattice)),
         )
         base_cost.setdefault(n, listing)
         costs.append({
@@ -122,13 +123,3 @@ def quantiser_experiment(
         caption="Measured live on one thread, medians; the paper (Octave): 1, 5 (D3) and 10 (D3*) times.",
     )  # fmt: skip
     return report
-
-
-def _seconds(function: Any, repeats: int = 5) -> float:
-    function()
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))

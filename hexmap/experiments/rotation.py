@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from hexmap.errors import ArgumentError
 from hexmap.experiments._cases import about_axis, as_columns, rotation_case, score_case
+from hexmap.experiments._timing import median_seconds
 from hexmap.experiments.report import COLOURS, Report, figure_style
 from hexmap.experiments.runner import run_cases
 from hexmap.experiments.statistics import Interval, block_length, bootstrap, bootstrap_ratio, cv, interquartile_factor
@@ -408,20 +409,6 @@ def _diagonal(report: Report, lattices: list[Lattice]) -> None:
     report.figure("diagonal", figure, "The introduction's thought experiment: a line of 20 m at 45 degrees.")
 
 
-def listing_cost(points: NDArray[np.float64], lattices: Sequence[Lattice], repeats: int = 7) -> list[float]:
-    """Return the median seconds of quantising and listing ``points`` on each lattice, one thread."""
-    costs = []
-    for lattice in lattices:
-        VoxelList.from_points(points, lattice)
-        times = []
-        for _ in range(repeats):
-            begin = time.perf_counter()
-            VoxelList.from_points(points, lattice)
-            times.append(time.perf_counter() - begin)
-        costs.append(float(np.median(times)))
-    return costs
-
-
 def _judge(
     report: Report,
     points: NDArray[np.float64],
@@ -435,7 +422,7 @@ def _judge(
     others = [k for k in range(1, len(lattices)) if lattices[k].name in PAPER]
     if not others:
         return
-    costs = listing_cost(points, lattices)
+    costs = [median_seconds(partial(VoxelList.from_points, points, on)) for on in lattices]
     evidence = Evidence(
         [lattices[k] for k in (0, *others)],
         points,

@@ -8,6 +8,7 @@ are walked here; their messages are decoded by rosbags all the same.
 from __future__ import annotations
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -56,7 +57,7 @@ def _decompress(data: bytes, kind: str) -> bytes:
     raise _CutOff
 
 
-class _Unindexed:
+class _Unindexed(ABC):
     """What both formats share: topics by a first walk, messages by a second."""
 
     is2 = False
@@ -70,8 +71,9 @@ class _Unindexed:
         for _ in self._walk():
             pass
 
+    @abstractmethod
     def _walk(self) -> Iterator[tuple[str, int, bytes]]:
-        raise NotImplementedError
+        """Yield (topic, nanoseconds, raw message) of the whole file, noting topics on the way."""
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Yield (topic, nanoseconds, raw message), in the order of the file."""
@@ -94,7 +96,7 @@ class _Unindexed:
         size = self.path.stat().st_size
         return self.position / size if size else 1.0
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - nothing to close but where there is
         """Nothing stays open."""
 
 
