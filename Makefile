@@ -35,3 +35,4 @@ $(READY): pyproject.toml
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info
+	find hexmap planners localisation -name __pycache__ -exec rm -rf {} +

@@ -6,11 +6,12 @@ k leads from the flat cell a to ``a + offsets[k]``, needs that cell free and als
 of its two ends (an empty terrain array stands for one everywhere).
 """
 
-
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+from planners._shared_kernels import drop_top, gauge, may_move, project, rise
 
 GOAL = 128  # set in ``via`` where a cell is a goal, so that asking costs no further array
 MOVE = 127  # the bits of ``via`` that hold the move that reached a cell, plus one; 0 is not reached
@@ -56,16 +57,6 @@ def wavefront(state, offsets, queue, steps, count, goals, most):
             steps[np.uint64(queue[head])] = d
             head += one
     return np.int64(head)
-
-
-@njit(cache=True, nogil=True)
-def _may_move(free, at, k, offsets, swept_starts, swept):
-    if free[at + offsets[k]] == 0:
-        return False
-    for i in range(swept_starts[k], swept_starts[k + 1]):  # noqa: SIM110 - a generator is none of Numba's
-        if free[at + swept[i]] == 0:
-            return False
-    return True
 
 
 @njit(cache=True, nogil=True)
@@ -135,7 +126,7 @@ def buckets(
                     old = distance[b]
                     if not (reached < old and reached <= limit):
                         continue
-                    if not _may_move(free, a, k, offsets, swept_starts, swept):
+                    if not may_move(free, a, k, offsets, swept_starts, swept):
                         continue
                     distance[b] = reached
                     place = np.int64(reached * inverse_width)
@@ -188,7 +179,7 @@ def _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain):
         # The very sum of the search, hence equal to the last bit.
         if values[before] + _cost(before, at, k, lengths, terrain) != value:
             continue
-        if _may_move(free, before, k, offsets, swept_starts, swept):
+        if may_move(free, before, k, offsets, swept_starts, swept):
             return k
     return moves
 
@@ -215,83 +206,6 @@ def walk_back(values, at, offsets, lengths, swept_starts, swept, free, terrain):
             out = np.append(out, np.empty(count, np.int64))
         out[count] = at
         count += 1
-
-
-# ---------------------------------------------------------------------- a binary heap in three arrays
-
-
-@njit(cache=True, nogil=True)
-def _up(key, cost, node, at, k, g, c):
-    """Let the entry (k, g, c) rise from the empty place ``at``: least key first, then the larger cost."""
-    while at > 0:
-        above = (at - 1) >> 1
-        if key[above] < k or (key[above] == k and cost[above] >= g):
-            break
-        key[at] = key[above]
-        cost[at] = cost[above]
-        node[at] = node[above]
-        at = above
-    key[at] = k
-    cost[at] = g
-    node[at] = c
-
-
-@njit(cache=True, nogil=True)
-def _drop_top(key, cost, node, count):
-    """Remove the first of ``count`` entries."""
-    count -= 1
-    k = key[count]
-    g = cost[count]
-    c = node[count]
-    at = 0
-    while True:
-        below = 2 * at + 1
-        if below >= count:
-            break
-        other = below + 1
-        if other < count and (key[other] < key[below] or (key[other] == key[below] and cost[other] > cost[below])):
-            below = other
-        if k < key[below] or (k == key[below] and g >= cost[below]):
-            break
-        key[at] = key[below]
-        cost[at] = cost[below]
-        node[at] = node[below]
-        at = below
-    key[at] = k
-    cost[at] = g
-    node[at] = c
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _project(cell, targets, planes, strides, out):
-    """Write the product of each plane with the way from each of ``targets`` (M, n) to ``cell`` into ``out`` (M, F)."""
-    n = strides.shape[0]
-    for m in range(targets.shape[0]):
-        rest = cell
-        for f in range(planes.shape[0]):
-            out[m, f] = 0.0
-        for i in range(n):
-            x = rest // strides[i]
-            rest -= x * strides[i]
-            way = float(x - targets[m, i])
-            for f in range(planes.shape[0]):
-                out[m, f] += planes[f, i] * way
-
-
-@njit(cache=True, nogil=True)
-def _gauge(base, move, k):
-    """Return the least gauge over the targets after the move ``k``: ``base`` (M, F), ``move`` (K + 1, F)."""
-    least = np.inf
-    for m in range(base.shape[0]):
-        most = 0.0
-        for f in range(base.shape[1]):
-            v = abs(base[m, f] + move[k, f])
-            if v > most:
-                most = v
-        if most < least:
-            least = most
-    return least
 
 
 @njit(cache=True, nogil=True)
@@ -341,8 +255,8 @@ def search(
     below = 1.0 - 1e-13
     g[start] = 0.0
     via[start] |= np.uint8(moves + 1)
-    _project(start, targets, planes, strides, base)
-    least = _gauge(base, rises, moves)
+    project(start, targets, planes, strides, base)
+    least = gauge(base, rises, moves)
     key[0] = np.floor(weight * least * scale + 0.5)
     cost[0] = 0.0
     node[0] = start
@@ -357,20 +271,20 @@ def search(
             for i in range(count):
                 c = node[i]
                 if cost[i] == g[c]:
-                    _project(c, targets, planes, strides, base)
-                    if cost[i] + _gauge(base, rises, moves) < best * below:
-                        _up(key, cost, node, kept, key[i], cost[i], c)
+                    project(c, targets, planes, strides, base)
+                    if cost[i] + gauge(base, rises, moves) < best * below:
+                        rise(key, cost, node, kept, key[i], cost[i], c)
                         kept += 1
             count = kept
             filtered = True
             continue
         a = node[0]
         d = cost[0]
-        count = _drop_top(key, cost, node, count)
+        count = drop_top(key, cost, node, count)
         if d != g[a]:
             continue
-        _project(a, targets, planes, strides, base)
-        if filtered and d + _gauge(base, rises, moves) >= best * below:
+        project(a, targets, planes, strides, base)
+        if filtered and d + gauge(base, rises, moves) >= best * below:
             continue
         expansions += 1
         if count + moves > key.shape[0]:
@@ -385,7 +299,7 @@ def search(
             mark = via[b]
             if (mark & MOVE) != 0 and reached >= g[b] * slack:
                 continue
-            if not _may_move(free, a, k, offsets, swept_starts, swept):
+            if not may_move(free, a, k, offsets, swept_starts, swept):
                 continue
             if mark & GOAL:
                 g[b] = reached
@@ -395,12 +309,12 @@ def search(
                     best_key = np.floor(best * scale + 0.5)
                     found = b
                 continue
-            estimate = _gauge(base, rises, k)
+            estimate = gauge(base, rises, k)
             if reached + estimate >= best * below:
                 continue
             g[b] = reached
             via[b] = np.uint8(k + 1)
-            _up(key, cost, node, count, np.floor((reached + weight * estimate) * scale + 0.5), reached, b)
+            rise(key, cost, node, count, np.floor((reached + weight * estimate) * scale + 0.5), reached, b)
             count += 1
             pushes += 1
     lower = best
@@ -408,8 +322,8 @@ def search(
         # The best path goes through a cell that waits, at its least cost: the least f is a bound.
         for i in range(count):
             if cost[i] == g[node[i]]:
-                _project(node[i], targets, planes, strides, base)
-                lower = min(lower, cost[i] + _gauge(base, rises, moves))
+                project(node[i], targets, planes, strides, base)
+                lower = min(lower, cost[i] + gauge(base, rises, moves))
     return found, expansions, pushes, lower
 
 
@@ -442,8 +356,8 @@ def search_both(
     below = 1.0 - 1e-13
     g[start] = 0.0
     via[start] = moves + 1
-    _project(start, targets, planes, strides, to_goal)
-    key0[0] = np.floor(0.5 * _gauge(to_goal, rises, moves) * scale + 0.5)
+    project(start, targets, planes, strides, to_goal)
+    key0[0] = np.floor(0.5 * gauge(to_goal, rises, moves) * scale + 0.5)
     cost0[0] = 0.0
     node0[0] = start
     count0 = 1
@@ -458,9 +372,9 @@ def search_both(
             node1 = np.append(node1, np.empty_like(node1))
         g_back[goals[i]] = 0.0
         via_back[goals[i]] = moves + 1
-        _project(goals[i], origin, planes, strides, to_start)
-        first = np.floor(0.5 * _gauge(to_start, rises, moves) * scale + 0.5)
-        _up(key1, cost1, node1, count1, first, 0.0, goals[i])
+        project(goals[i], origin, planes, strides, to_start)
+        first = np.floor(0.5 * gauge(to_start, rises, moves) * scale + 0.5)
+        rise(key1, cost1, node1, count1, first, 0.0, goals[i])
         count1 += 1
         pushes += 1
     while count0 > 0 and count1 > 0:
@@ -469,7 +383,7 @@ def search_both(
         if count0 <= count1:
             a = node0[0]
             d = cost0[0]
-            count0 = _drop_top(key0, cost0, node0, count0)
+            count0 = drop_top(key0, cost0, node0, count0)
             if d != g[a]:
                 continue
             if count0 + moves > key0.shape[0]:
@@ -477,8 +391,8 @@ def search_both(
                 cost0 = np.append(cost0, np.empty_like(cost0))
                 node0 = np.append(node0, np.empty_like(node0))
             expansions += 1
-            _project(a, targets, planes, strides, to_goal)
-            _project(a, origin, planes, strides, to_start)
+            project(a, targets, planes, strides, to_goal)
+            project(a, origin, planes, strides, to_start)
             for k in range(moves):
                 b = a + offsets[k]
                 if free[b] == 0:
@@ -486,9 +400,9 @@ def search_both(
                 reached = d + _cost(a, b, k, lengths, terrain)
                 if via[b] != 0 and reached >= g[b] * slack:
                     continue
-                if not _may_move(free, a, k, offsets, swept_starts, swept):
+                if not may_move(free, a, k, offsets, swept_starts, swept):
                     continue
-                ahead = _gauge(to_goal, rises, k)
+                ahead = gauge(to_goal, rises, k)
                 if reached + ahead >= best * below:
                     continue
                 g[b] = reached
@@ -496,14 +410,14 @@ def search_both(
                 if via_back[b] != 0 and reached + g_back[b] < best:
                     best = reached + g_back[b]
                     meeting = b
-                f = reached + 0.5 * (ahead - _gauge(to_start, rises, k))
-                _up(key0, cost0, node0, count0, np.floor(f * scale + 0.5), reached, b)
+                f = reached + 0.5 * (ahead - gauge(to_start, rises, k))
+                rise(key0, cost0, node0, count0, np.floor(f * scale + 0.5), reached, b)
                 count0 += 1
                 pushes += 1
         else:
             a = node1[0]
             d = cost1[0]
-            count1 = _drop_top(key1, cost1, node1, count1)
+            count1 = drop_top(key1, cost1, node1, count1)
             if d != g_back[a]:
                 continue
             if count1 + moves > key1.shape[0]:
@@ -518,11 +432,11 @@ def search_both(
                 reached = d + _cost(b, a, k, lengths, terrain)
                 if via_back[b] != 0 and reached >= g_back[b] * slack:
                     continue
-                if not _may_move(free, b, k, offsets, swept_starts, swept):
+                if not may_move(free, b, k, offsets, swept_starts, swept):
                     continue
-                _project(b, targets, planes, strides, to_goal)
-                _project(b, origin, planes, strides, to_start)
-                behind = _gauge(to_start, rises, moves)
+                project(b, targets, planes, strides, to_goal)
+                project(b, origin, planes, strides, to_start)
+                behind = gauge(to_start, rises, moves)
                 if reached + behind >= best * below:
                     continue
                 g_back[b] = reached
@@ -530,8 +444,8 @@ def search_both(
                 if via[b] != 0 and reached + g[b] < best:
                     best = reached + g[b]
                     meeting = b
-                f = reached + 0.5 * (behind - _gauge(to_goal, rises, moves))
-                _up(key1, cost1, node1, count1, np.floor(f * scale + 0.5), reached, b)
+                f = reached + 0.5 * (behind - gauge(to_goal, rises, moves))
+                rise(key1, cost1, node1, count1, np.floor(f * scale + 0.5), reached, b)
                 count1 += 1
                 pushes += 1
     return meeting, expansions, pushes, best

@@ -51,6 +51,7 @@ class Path:
         clearance: least distance to an obstacle, metres, where it was asked for.
         expansions: cells whose moves were tried.
         pushes: entries made in the queue.
+        scanned: cells looked at on the way by searches that jump or look along lines, 0 by others.
         seconds: time of the search, without preparing the graph.
         bound: the cost is at most this times the least cost (to 1e-11 of a move).
     """
@@ -63,6 +64,7 @@ class Path:
     clearance: float | None = None
     expansions: int = 0
     pushes: int = 0
+    scanned: int = 0
     seconds: float = 0.0
     bound: float = 1.0
 
@@ -82,6 +84,7 @@ def make_path(
     clearance: NDArray[np.float64] | None = None,
     expansions: int = 0,
     pushes: int = 0,
+    scanned: int = 0,
     seconds: float = 0.0,
     bound: float = 1.0,
 ) -> Path:
@@ -91,7 +94,7 @@ def make_path(
     length, turning = _measure(points)
     cost = math.fsum(_leg_costs(graph, flat))
     least = None if clearance is None else float(np.asarray(clearance).reshape(-1)[flat].min())
-    return Path(cells, points, cost, length, turning, least, int(expansions), int(pushes), seconds, bound)
+    return Path(cells, points, cost, length, turning, least, int(expansions), int(pushes), int(scanned), seconds, bound)
 
 
 def _leg_costs(graph: LatticeGraph, flat: IndexArray) -> NDArray[np.float64]:
