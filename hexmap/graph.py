@@ -105,6 +105,14 @@ def _lengths_of(lattice: Lattice, moves: NDArray[np.int64]) -> NDArray[np.float6
     return lengths
 
 
+def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return what a user's function says of points (N, n), as (N,) booleans."""
+    answer = np.asarray(asked(points))
+    if answer.shape != (len(points),):
+        raise ArgumentError(f"{name} must answer {len(points)} points, not with an array {answer.shape}")
+    return answer.astype(np.bool_)
+
+
 @dataclass
 class _Obstacles:
     """Where clearance is measured from; graphs derived from one another share it.
@@ -353,6 +361,7 @@ class LatticeGraph:
         *,
         neighbourhood: Neighbourhood = None,
         max_cells: int = MAX_CELLS,
+        occupied_at: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
     ) -> LatticeGraph:
         """Make the graph of anything that can tell whether a point is free, by the cells' centres.
 
@@ -363,11 +372,15 @@ class LatticeGraph:
             high_metres: high corner. Cells whose centre is not in the box (corners included) are blocked.
             neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
             max_cells: how large a window may be, padding included.
+            occupied_at: tells for each of the same points whether it is an obstacle, where not all
+                that is blocked is one (unknown cells, say).
 
-        Clearance is measured from the blocked cells whose centre is in the box.
+        Clearance is measured from the blocked cells whose centre is in the box; from those of which
+        ``occupied_at`` says so, blocked or not, where it is given.
 
         Raises:
-            ArgumentError: the box holds no centre or is too large, or ``free_at`` returns something else.
+            ArgumentError: the box holds no centre or is too large, or ``free_at`` or ``occupied_at``
+                returns something else.
             BoundsError: the box leaves the range of indices.
         """
         low, high = np.array(low_metres, dtype=np.float64), np.array(high_metres, dtype=np.float64)
@@ -375,12 +388,14 @@ class LatticeGraph:
         if low.shape != (n,) or high.shape != (n,) or not (np.isfinite([low, high]).all() and (low <= high).all()):
             raise ArgumentError(f"a box in dimension {n} takes two corners of {n} finite numbers, the low one first")
         graph = cls._of_box(lattice, low, high, neighbourhood, max_cells)
+        if occupied_at is not None:
+            graph._obstacles.free = np.ones(graph.size, np.uint8)
         centres = 0
         for flat, points in graph._in_box(low, high):
-            answer = np.asarray(free_at(points))
-            if answer.shape != (len(points),):
-                raise ArgumentError(f"free_at must answer {len(points)} points, not with an array {answer.shape}")
-            graph.free[flat] = answer.astype(np.bool_)
+            graph.free[flat] = _answers("free_at", free_at, points)
+            if occupied_at is not None:
+                assert graph._obstacles.free is not None
+                graph._obstacles.free[flat] = ~_answers("occupied_at", occupied_at, points)
             centres += len(flat)
         if centres == 0:
             raise ArgumentError(f"no centre of a cell lies in the box {low.tolist()} to {high.tolist()}")
@@ -648,14 +663,27 @@ class LatticeGraph:
     def clearance(self) -> NDArray[np.float64]:
         """Return for each cell (size,) the distance, metres, of its centre to the nearest obstacle's centre.
 
-        Exact. Obstacles themselves have 0, all cells have inf where there is no obstacle, and the
-        padding has 0. What an obstacle measures is not taken off: an occupied cell may hold a
-        point up to ``lattice.covering_radius`` from its centre.
+        Exact for free cells. Obstacles on the surface have 0, those inside a solid their distance to its
+        surface, all cells have inf where there is no obstacle, and the padding has 0. What an obstacle
+        measures is not taken off: an occupied cell may hold a point up to ``lattice.covering_radius``
+        from its centre.
         """
         out = np.zeros(self.size, np.float64)
         inner = self._inner_flat()
         out[inner] = self._distances(inner)
         return out
+
+    def clearance_at(self, flat: ArrayLike) -> NDArray[np.float64]:
+        """Return the distance (M,), metres, of the centres of the cells ``flat`` (M,) to the nearest obstacle's centre.
+
+        What :meth:`clearance` holds there, without the field: the least of a path needs its cells alone.
+
+        Raises:
+            ArgumentError: a position is outside the array.
+        """
+        at = np.asarray(flat)
+        self.flat_to_index(at)
+        return self._distances(at.astype(np.int64))
 
     def with_clearance(self, radius: float) -> LatticeGraph:
         """Return the graph for a robot of a radius, metres: cells nearer than that to an obstacle are blocked.

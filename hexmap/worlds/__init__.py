@@ -1,0 +1,90 @@
+"""Maps that other people published, read into one value that any lattice can be laid over.
+
+MovingAI grids (``.map``), Warframe voxels (``.3dmap``), ROS map_server maps (``.yaml`` and its image),
+OctoMaps (``.bt``), and the benchmark problems that belong to the first two (``.scen``, ``.3dscen``).
+
+Examples:
+    >>> from hexmap.worlds import open_world, read_scenario
+    >>> world = open_world("arena.map")  # doctest: +SKIP
+    >>> graph = world.to_graph(Lattice.named("A2", resolution=0.5))  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+from hexmap.errors import ArgumentError, FormatError
+from hexmap.worlds._bytes import read_bytes, shown
+from hexmap.worlds._grid import BLOCKED, FREE, MAX_CELLS, UNKNOWN, GridWorld
+from hexmap.worlds.scenarios import Scenario, read_scenario
+
+__all__ = ["BLOCKED", "FREE", "MAX_CELLS", "UNKNOWN", "GridWorld", "Scenario", "open_world", "read_scenario"]
+
+_KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map or an OctoMap .bt"
+_PICTURES = (b"P2", b"P5", b"\x89PNG")
+
+
+def open_world(path: str | os.PathLike[str], *, cell: float | None = None) -> GridWorld:
+    """Read a published map; its format is found by its content, and by its name where that leaves it open.
+
+    Args:
+        path: a ``.map`` or ``.3dmap`` (plain or gzip), the ``.yaml`` of a ROS map_server map with its
+            image beside it, or a ``.bt``.
+        cell: metres an edge of a cell, for MovingAI and Warframe, which name none; 1 where none is given.
+
+    Returns:
+        The map. The cell (x, y(, z)) of a MovingAI or Warframe map has its *centre* at that index times ``cell``.
+
+    Raises:
+        ArgumentError: ``cell`` is not positive, or the format has its own.
+        FileAccessError: a file is not there or cannot be read.
+        FormatError: a file is damaged or of a foreign kind; the text names the line where there is one.
+        TooLargeError: the map has more cells than a dense array may have.
+    """
+    path = Path(path)
+    if cell is not None and not (isinstance(cell, (int, float)) and math.isfinite(cell) and cell > 0.0):
+        raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {cell!r}")
+    data = read_bytes(path)
+    kind = _kind(path, data)
+    if kind in ("ros", "octomap") and cell is not None:
+        raise ArgumentError(f"{path}: the file says how large its cells are; cell={cell!r} cannot change that")
+    # Each format's module is imported when it is needed.
+    if kind == "movingai":
+        from hexmap.worlds import movingai
+
+        return movingai.parse(path, data, 1.0 if cell is None else float(cell))
+    if kind == "warframe":
+        from hexmap.worlds import warframe
+
+        return warframe.parse(path, data, 1.0 if cell is None else float(cell))
+    if kind == "octomap":
+        from hexmap.worlds import octomap
+
+        return octomap.parse(path, data)
+    from hexmap.worlds import ros
+
+    return ros.parse(path, data)
+
+
+def _kind(path: Path, data: bytes) -> str:
+    """Return what a file is, by how it begins, then by its suffix."""
+    if data.startswith(_PICTURES):
+        raise FormatError(
+            f"{path}: a picture alone does not say where its map lies; "
+            f"name the .yaml of map_server ({path.with_suffix('.yaml').name})"
+        )
+    if data.startswith(b"# Octomap OcTree file"):
+        raise FormatError(f"{path}: this is a full OctoMap (.ot); write it as binary first (convert_octree)")
+    if data.startswith(b"version "):
+        raise FormatError(f"{path}: this is a scenario; read it with read_scenario and name the map here")
+    for magic, kind in ((b"type ", "movingai"), (b"voxel ", "warframe"), (b"# Octomap", "octomap")):
+        if data.startswith(magic):
+            return kind
+    names = {".map": "movingai", ".3dmap": "warframe", ".yaml": "ros", ".yml": "ros", ".bt": "octomap"}
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
+    kind = names.get(suffixes[-1], "") if suffixes else ""
+    if not kind:
+        raise FormatError(f"{path}: of no known kind (it begins with {shown(data[:40])}); a map is {_KNOWN}")
+    return kind
