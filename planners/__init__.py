@@ -10,22 +10,51 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 _HOMES = {
+    "AnyAngleOptimum": "planners.optimum",
     "DistanceField": "planners._dijkstra",
     "NoPath": "planners.path",
+    "OptimalPath": "planners.optimum",
     "Path": "planners.path",
+    "PathTable": "planners.path_files",
+    "any_angle": "planners._anyangle",
     "astar": "planners._astar",
     "dijkstra": "planners._dijkstra",
+    "line_of_sight": "planners._anyangle",
+    "nearest_reachable": "planners._nearest",
     "plan_many": "planners._astar",
+    "read_path": "planners.path_files",
     "shortcut": "planners.path",
     "to_cell": "planners.path",
+    "write_path": "planners.path_files",
 }
 
-__all__ = ["DistanceField", "NoPath", "Path", "astar", "dijkstra", "plan_many", "shortcut", "to_cell"]
+__all__ = [
+    "AnyAngleOptimum",
+    "DistanceField",
+    "NoPath",
+    "OptimalPath",
+    "Path",
+    "PathTable",
+    "any_angle",
+    "astar",
+    "dijkstra",
+    "line_of_sight",
+    "nearest_reachable",
+    "plan_many",
+    "read_path",
+    "shortcut",
+    "to_cell",
+    "write_path",
+]
 
 if TYPE_CHECKING:
+    from planners._anyangle import any_angle, line_of_sight
     from planners._astar import astar, plan_many
     from planners._dijkstra import DistanceField, dijkstra
+    from planners._nearest import nearest_reachable
+    from planners.optimum import AnyAngleOptimum, OptimalPath
     from planners.path import NoPath, Path, shortcut, to_cell
+    from planners.path_files import PathTable, read_path, write_path
 
 
 def __getattr__(name: str) -> Any:

@@ -54,6 +54,7 @@ class Path:
         scanned: cells looked at on the way by searches that jump or look along lines, 0 by others.
         seconds: time of the search, without preparing the graph.
         bound: the cost is at most this times the least cost (to 1e-11 of a move).
+        goal_reached: false where the path ends in the reachable cell nearest to the goal instead.
     """
 
     cells: NDArray[np.int32]
@@ -67,6 +68,7 @@ class Path:
     scanned: int = 0
     seconds: float = 0.0
     bound: float = 1.0
+    goal_reached: bool = True
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -91,7 +93,7 @@ def make_path(
     """Return the path through the ``flat`` cells (M,), its cost summed without a rounding error."""
     cells = graph.flat_to_index(flat)
     points = np.ascontiguousarray(graph.lattice.centres(cells), dtype=np.float64)
-    length, turning = _measure(points)
+    length, turning = measure(points)
     cost = math.fsum(_leg_costs(graph, flat))
     least = None if clearance is None else float(np.asarray(clearance).reshape(-1)[flat].min())
     return Path(cells, points, cost, length, turning, least, int(expansions), int(pushes), int(scanned), seconds, bound)
@@ -106,7 +108,7 @@ def _leg_costs(graph: LatticeGraph, flat: IndexArray) -> NDArray[np.float64]:
     return np.asarray(legs)
 
 
-def _measure(points: NDArray[np.float64]) -> tuple[float, float]:
+def measure(points: NDArray[np.float64]) -> tuple[float, float]:
     """Return length (m) and turning (rad) of a polyline (M, n)."""
     legs = np.diff(points, axis=0)
     lengths = np.sqrt((legs**2).sum(axis=1))
@@ -169,96 +171,41 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
 # ---------------------------------------------------------------------- line of sight
 
 
-def _probes(graph: LatticeGraph, way: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return small shifts (P, n), metres, across the direction ``way`` (n,): a thin tube and its axis.
-
-    A line through a corner or along a face meets cells that it crosses along no length, or of
-    which only one is counted. The shifted lines cross them, so that no path slips between two walls.
-    """
-    size = 1e-6 * graph.lattice.resolution
-    way = way / np.linalg.norm(way)
-    if len(way) == 2:
-        across = np.array([[-way[1], way[0]]]) * size
-        return np.vstack([np.zeros((1, 2)), across, -across])
-    u = np.cross(way, np.eye(3)[int(np.argmin(np.abs(way)))])
-    u /= np.linalg.norm(u)
-    w = np.cross(way, u)
-    angle = 0.1 + np.arange(8) * (math.pi / 4)
-    return np.vstack([np.zeros((1, 3)), size * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * w)])
-
-
-def _sight(graph: LatticeGraph, start: NDArray[np.float64], ends: NDArray[np.float64]) -> list[IndexArray | None]:
-    """Return for each of ``ends`` (E, n), metres, the flat cells met on the way from ``start``; None if one is shut."""
-    from hexmap.rays import traverse
-
-    shifts = [_probes(graph, end - start) for end in ends]
-    rays = traverse(
-        graph.lattice,
-        np.concatenate([start + s for s in shifts]),
-        np.concatenate([end + s for end, s in zip(ends, shifts, strict=True)]),
-    )
-    place = rays.index.astype(np.int64) - graph.low
-    inside = ((place >= 0) & (place < graph.shape)).all(axis=1)
-    flat = np.where(inside, place @ graph.strides, 0)
-    good = inside & (graph.free[flat] != 0)
-    out: list[IndexArray | None] = []
-    r = 0
-    for s in shifts:
-        part = slice(int(rays.offsets[r]), int(rays.offsets[r + len(s)]))
-        out.append(flat[part] if good[part].all() else None)
-        r += len(s)
-    return out
-
-
-def shortcut(graph: LatticeGraph, path: Path, *, chunk: int = 16) -> Path:
+def shortcut(graph: LatticeGraph, path: Path) -> Path:
     """Return the path with legs replaced by straight lines where every cell that these meet is free.
 
-    From each kept cell the path goes straight to the last cell up to which it sees every one; a
-    line that only touches a corner of a blocked cell does not count as free. Consecutive cells of
-    the result are no neighbours any more. With terrain a leg is replaced only where the line runs
-    over one kind of terrain and costs no more, so that the cost stays exact.
+    From each kept cell the path goes straight to the last cell up to which it sees every one, by
+    :func:`planners.line_of_sight`; a line that only touches a corner of a blocked cell does not count as
+    free. Consecutive cells of the result are no neighbours any more. With terrain a leg is replaced
+    only where the line runs over one kind of terrain and costs no more, so that the cost stays exact.
 
     Args:
         graph: in which the path was found.
         path: whose consecutive cells are neighbours.
-        chunk: lines looked at together; it does not change the result.
 
     Raises:
         ArgumentError: consecutive cells are no neighbours (a path is made shorter once).
     """
     if len(path) < 3:
         return path
-    points = path.points
     flat = cells_to_flat(graph, path.cells, "cell of the path", blocked=False)
     if not np.isin(np.diff(flat), graph.offsets).all():
         raise ArgumentError("only a path of neighbouring cells can be made shorter by line of sight")
-    legs = _leg_costs(graph, flat)
-    so_far = np.concatenate([[0.0], np.cumsum(legs)])
+    from planners import _anyangle_kernels as kernels
+    from planners._anyangle import make_view
+
+    view = make_view(graph)
+    terrain = np.empty(0) if graph.terrain is None else graph.terrain
+    so_far = np.concatenate([[0.0], np.cumsum(_leg_costs(graph, flat))])
     kept = [0]
-    cost = 0.0
+    costs = []
     while kept[-1] < len(path) - 1:
-        at = kept[-1]
-        best, best_cost = at + 1, float(legs[at])
-        first = at + 2
-        while first < len(path):
-            seen = _sight(graph, points[at], points[first : first + chunk])
-            for j, cells in enumerate(seen, start=first):
-                if cells is None:
-                    break
-                straight = float(np.linalg.norm(points[j] - points[at]))
-                if graph.terrain is not None:
-                    straight *= float(graph.terrain[flat[at]])
-                    if (graph.terrain[cells] != graph.terrain[flat[at]]).any():
-                        break
-                if straight <= (so_far[j] - so_far[at]) * (1 + 1e-12):
-                    best, best_cost = j, straight
-            else:
-                first += chunk
-                continue
-            break
-        kept.append(best)
-        cost += best_cost
-    length, turning = _measure(points[kept])
+        last, cost = kernels.farthest(view, graph.free, terrain, flat, so_far, kept[-1])
+        kept.append(last)
+        costs.append(cost)
+    points = path.points[kept]
+    length, turning = measure(points)
+    cost = math.fsum(costs)
     return replace(
-        path, cells=path.cells[kept], points=points[kept], cost=cost, length=length, turning=turning, clearance=None
+        path, cells=path.cells[kept], points=points, cost=cost, length=length, turning=turning, clearance=None
     )

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 from hexmap.errors import ArgumentError, HexmapError
 from hexmap.graph import LatticeGraph
 from hexmap.lattice import Lattice
-from planners import DistanceField, NoPath, Path, astar, dijkstra, plan_many, shortcut, to_cell
+from planners import DistanceField, NoPath, Path, astar, dijkstra, nearest_reachable, plan_many, shortcut, to_cell
 from planners.heuristics import estimate, gauge_planes
 from tests.lattices import CASES, EXAMPLES, JIT, Case
 
@@ -407,7 +407,6 @@ def test_shortcuts_are_free_and_never_longer(case: Case, neighbourhood: str) -> 
         assert (short.cells[0] == path.cells[0]).all() and (short.cells[-1] == path.cells[-1]).all()
         if graph.terrain is None:
             assert short.cost == pytest.approx(short.length, rel=1e-12)
-        assert shortcut(graph, path, chunk=2).cells.tolist() == short.cells.tolist()
         t = np.linspace(0.0, 1.0, 257)[:, None]
         for a, b in itertools.pairwise(short.points):
             # Points of the line, but those that lie on a face to the last digits: they could go either way.
@@ -465,3 +464,109 @@ def test_arena_equals_the_published_optima(data_dir: FilePath) -> None:
     for s, goal, best in problems:
         if tuple(s) == start:
             assert abs(field.path_to(goal).cost - float(best)) <= 0.5000001 * 10.0 ** -len(best.partition(".")[2])
+
+
+# ---------------------------------------------------------------------- the nearest reachable cell
+
+
+def nearest_by_brute_force(graph: LatticeGraph, start: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """The nearest cell of the start's component, all of them measured; ties to the lowest flat position."""
+    labels = graph.components()
+    flat = np.flatnonzero(labels == labels[graph.index_to_flat(start[None])[0]])
+    distance = np.linalg.norm(graph.centres(flat) - point, axis=1)
+    near = flat[distance <= distance.min() + 1e-9 * graph.lattice.resolution]
+    return graph.flat_to_index(near[:1])[0]
+
+
+@pytest.mark.parametrize("neighbourhood", NEIGHBOURHOODS)
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_nearest_reachable_equals_brute_force(case: Case, neighbourhood: str | None) -> None:
+    for seed in range(6):
+        graph = random_graph(case, neighbourhood, seed, (0.2, 0.5, 0.8)[seed % 3], side=24 if case.dim == 2 else 9)
+        rng = np.random.default_rng(seed)
+        starts = free_cells(graph, seed, 4)
+        if starts is None:
+            continue
+        low, high = case.lattice.centres(np.array([graph.first, graph.first + graph.inner_shape - 1]))
+        width = np.linalg.norm(high - low) + case.lattice.resolution
+        for start in starts:
+            points = [low + rng.random(case.dim) * (high - low) for _ in range(4)]
+            points += [low + rng.normal(size=case.dim) * width * far for far in (1.0, 30.0, 1e5)]
+            # Cells' centres, and the middle between two: ties.
+            cells = rng.integers(graph.first - 1, graph.first + graph.inner_shape + 1, (4, case.dim))
+            points += [*case.lattice.centres(cells), *case.lattice.centres(cells + 0.5), 0.5 * (low + high)]
+            for point in points:
+                found = nearest_reachable(graph, start, point)
+                assert found.dtype == np.int32 and found.shape == (case.dim,)
+                np.testing.assert_array_equal(found, nearest_by_brute_force(graph, start, point))
+
+
+def test_nearest_reachable_of_a_lonely_start() -> None:
+    for case in CASES:
+        states = np.zeros((5,) * case.dim, np.uint8)
+        states[(0,) * case.dim] = states[(4,) * case.dim] = 1
+        graph = LatticeGraph.from_states(case.lattice, [7] * case.dim, states)
+        start = [7] * case.dim
+        for goal in ([11] * case.dim, [9] * case.dim, [10**6] * case.dim):
+            assert nearest_reachable(graph, start, case.lattice.centres(np.array([goal]))[0]).tolist() == start
+            path = astar(graph, start, goal, nearest=True)
+            assert path.cells.tolist() == [start] and path.cost == 0.0 and not path.goal_reached
+        with pytest.raises(NoPath, match="start blocked"):
+            nearest_reachable(graph, [8] * case.dim, np.zeros(case.dim))
+        with pytest.raises(NoPath, match="start outside"):
+            nearest_reachable(graph, [0] * case.dim, np.zeros(case.dim))
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_paths_to_the_nearest_reachable_cell(case: Case) -> None:
+    for seed in range(8):
+        graph = random_graph(case, None, seed, 0.4, side=14 if case.dim == 2 else 7)
+        starts = free_cells(graph, seed, 1)
+        if starts is None:
+            continue
+        rng = np.random.default_rng(seed)
+        for goal in rng.integers(graph.first - 3, graph.first + graph.inner_shape + 3, (6, case.dim)):
+            path = astar(graph, starts[0], goal, nearest=True)
+            assert path.goal_reached == graph.connected(starts[0], goal)
+            end = goal
+            if not path.goal_reached:
+                end = nearest_by_brute_force(graph, starts[0], case.lattice.centres(goal[None])[0])
+                with pytest.raises(NoPath):
+                    astar(graph, starts[0], goal)
+            check_path(graph, path, starts[0], end)
+            plain = astar(graph, starts[0], end)
+            assert plain.goal_reached and (path.cells == plain.cells).all()
+
+
+def test_arguments_of_the_nearest_reachable_cell() -> None:
+    graph = wall()
+    wrong = [
+        lambda: nearest_reachable(graph, [10, 20], [0.0, 1.0, 2.0]),
+        lambda: nearest_reachable(graph, [10, 20], [0.0, float("nan")]),
+        lambda: nearest_reachable(graph, [10, 20], [0.0, 1e300]),
+        lambda: nearest_reachable(graph, [[10, 20]], [0.0, 1.0]),
+        lambda: nearest_reachable(graph, [10.0, 20.0], [0.0, 1.0]),
+        lambda: astar(graph, [10, 20], [[13, 20], [12, 21]], nearest=True),
+        lambda: astar(graph, [10, 20], [13.0, 20.0], nearest=True),
+    ]
+    for call in wrong:
+        with pytest.raises(ValueError) as caught:
+            call()
+        assert isinstance(caught.value, HexmapError) and not isinstance(caught.value, NoPath)
+
+
+# ---------------------------------------------------------------------- moves worth a try
+
+
+@pytest.mark.parametrize(("case", "neighbourhood"), ALL, ids=IDS)
+def test_moves_left_out_are_on_no_cheapest_path(case: Case, neighbourhood: str | None) -> None:
+    # Many windows of all densities, from one start to every cell.
+    for seed in range(6 if JIT else 1):
+        graph = random_graph(case, neighbourhood, seed, (0.1, 0.35, 0.6)[seed % 3], side=8 if case.dim == 2 else 4)
+        cells = free_cells(graph, seed, 1)
+        if cells is None:
+            continue
+        field = dijkstra(graph, cells[0]).distance
+        for flat in np.flatnonzero(np.isfinite(field))[1 :: 1 if JIT else 5].tolist():
+            path = astar(graph, cells[0], graph.flat_to_index([flat])[0])
+            assert path.cost == pytest.approx(field[flat], rel=1e-12, abs=1e-15)

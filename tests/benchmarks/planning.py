@@ -1,15 +1,30 @@
-"""Figures 1 of planning: fields from one cell to all others, settled cells a second, against the peers.
+"""Figures of planning: ``python -m tests.benchmarks.planning [fields|corners|memory] ...``, all without a name.
 
-20 % random obstacles, one thread, the same cells in the same process, medians. A cell is settled when
-its distance is final. "search" is the field with the graph at hand, "with graph" makes the graph of
-the array of states as well, "with float64" also the distances in metres of the steps. Peers: scipy's
-Dijkstra on the same lattice, its matrix made beforehand; dijkstra3d where it is installed, on
-squares and cubes with all neighbours.
+fields: from one cell to all others, settled cells a second. A cell is settled when its distance is
+final. "search" is the field with the graph at hand, "with graph" makes the graph of the array of
+states as well, "with float64" also the distances in metres of the steps. Peers: scipy's Dijkstra on
+the same lattice, its matrix made beforehand; dijkstra3d where it is installed, on squares and cubes
+with all neighbours.
+
+corners: from corner to corner, and the same against dijkstra3d and networkx on squares and cubes.
+
+memory: bytes a cell of the world, for a box of a hundred million cells (``--cells`` for another
+number) and for the largest Warframe map where there is real data. Each in a process of its own.
+
+20 % random obstacles, one thread, the same cells in the same process, medians.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import math
 import os
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -113,12 +128,206 @@ def corners(repeats: int = 5) -> None:
     table(rows)
 
 
-def main() -> None:
-    """Print all tables."""
-    print(versions("hexmap", "numpy", "numba", "scipy", "dijkstra3d"), "\n")
-    print("millions of settled cells a second\n")
-    fields()
-    corners()
+def euclidean_length(cells: np.ndarray) -> float:
+    """Return the length of a polyline of cells (M, n)."""
+    return float(np.linalg.norm(np.diff(cells.astype(np.int64), axis=0), axis=1).sum())
+
+
+def corner_peers(repeats: int = 5) -> None:
+    """Print the same task by others, on squares with 8 and cubes with 26 neighbours.
+
+    dijkstra3d's Euclidean search is ``dijkstra(..., anisotropy=(1, 1[, 1]))``; its ``compass`` leaves
+    the Euclidean search as it is, and its ``bidirectional`` falls back to it. It knows no corner
+    rule: its paths squeeze between two blocked cells, are shorter and so end sooner. "no rule" is
+    ours without one as well, which is its task to the last digit. networkx keeps our rule, as it
+    searches our graph; its heuristic is the octile distance. On the large cube its graph does not
+    fit: there both search a small one.
+    """
+    head = ["peers, 20 % obstacles", "ms", "cost", "their ms, C order", "F order", "their cost", "times ours"]
+    rows: list[list[object]] = [[*head, "no rule, ms", "cost", "times ours"]]
+    for name, size, shape in (("Z2", 8, (1024, 1024)), ("Z3", 26, (128, 128, 128))):
+        try:
+            import dijkstra3d
+        except ImportError as error:
+            print(f"dijkstra3d is left out: {error}")
+            break
+        n, free = len(shape), states(shape)
+        graph = LatticeGraph.from_states(Lattice.named(name), [0] * n, free, neighbourhood=size)
+        start, goal = [0] * n, [s - 1 for s in shape]
+        loose = LatticeGraph.from_states(Lattice.named(name), [0] * n, free, neighbourhood=size)
+        loose.swept, loose.swept_starts = np.empty(0, np.int64), np.zeros(size + 1, np.int64)
+        ours = median_seconds(lambda g=graph, a=start, b=goal: astar(g, a, b), repeats)
+        without = median_seconds(lambda g=loose, a=start, b=goal: astar(g, a, b), repeats)
+        theirs = []
+        for order in ("C", "F"):
+            cost = np.asarray(np.where(free != 0, 1.0, np.inf), dtype=np.float32, order=order)
+
+            def peer(cost: np.ndarray = cost, n: int = n, shape: tuple[int, ...] = shape) -> np.ndarray:
+                end = tuple(s - 1 for s in shape)
+                return dijkstra3d.dijkstra(
+                    cost, (0,) * n, end, connectivity={2: 8, 3: 26}[n], anisotropy=(1.0,) * n
+                )  # fmt: skip
+
+            theirs.append(median_seconds(peer, repeats))
+        length, free_length = euclidean_length(peer()), astar(loose, start, goal).cost
+        # It adds up in float32.
+        assert abs(length - free_length) < 1e-4 * free_length, (length, free_length)
+        best = min(theirs)
+        rows.append(
+            [f"dijkstra3d, {name}-{size}, {' x '.join(map(str, shape))}", 1e3 * ours, astar(graph, start, goal).cost,
+             *[1e3 * t for t in theirs], length, best / ours, 1e3 * without, free_length, best / without]
+        )  # fmt: skip
+    for name, size, shape in (("Z2", 8, (1024, 1024)), ("Z3", 26, (48, 48, 48))):
+        import networkx
+
+        n = len(shape)
+        graph = LatticeGraph.from_states(Lattice.named(name), [0] * n, states(shape), neighbourhood=size)
+        start, goal = [0] * n, [s - 1 for s in shape]
+        ours = median_seconds(lambda g=graph, a=start, b=goal: astar(g, a, b), repeats)
+        other = graph.to_networkx()
+        steps = [math.sqrt(k) for k in range(1, n + 1)]
+        # Longest side first: that many moves of each kind.
+        rates = [b - a for a, b in zip([0.0, *steps], steps, strict=False)]
+
+        def octile(u: tuple[int, ...], v: tuple[int, ...], rates: list[float] = rates) -> float:
+            # A little less: rounding must not estimate a single path above its cost.
+            sides = sorted((abs(a - b) for a, b in zip(u, v, strict=True)), reverse=True)
+            return (1.0 - 1e-12) * sum(side * rate for side, rate in zip(sides, rates, strict=True))
+
+        begin = time.perf_counter()
+        path = networkx.astar_path(other, tuple(start), tuple(goal), heuristic=octile, weight="weight")
+        peer_seconds = time.perf_counter() - begin
+        least, length = astar(graph, start, goal).cost, euclidean_length(np.array(path))
+        assert abs(least - length) < 1e-9 * least
+        label = f"networkx, {name}-{size}, {' x '.join(map(str, shape))}"
+        rows.append(
+            [label, 1e3 * ours, least, 1e3 * peer_seconds, "", length, peer_seconds / ours, "", "", ""]
+        )  # fmt: skip
+        del other, path
+    table(rows)
+
+
+# ---------------------------------------------------------------------- memory
+
+WORLDS = (("A2", 6), ("Z2", 8), ("A2", 12), ("Z3", 6), ("Z3", 26), ("D3", 12), ("D3*", 8))
+
+
+def box_free(points: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Tell which points (N, n) are free: four of five, by a hash of where they are, and all near the two corners."""
+    index = np.floor(points * 1024.0).astype(np.int64).astype(np.uint64)
+    mixed = np.zeros(len(points), np.uint64)
+    for column in index.T:
+        mixed = (mixed ^ column) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    free = (mixed * np.uint64(0xBF58476D1CE4E5B9)) >> np.uint64(40) >= np.uint64(0.2 * 2**24)
+    return free | (points < low + 6.0).all(axis=1) | (points > high - 6.0).all(axis=1)
+
+
+def resident(field: str) -> int:
+    """Return a figure of this process, bytes: VmRSS now, VmHWM at most since it was set back."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(field + ":"):
+            return 1024 * int(line.split()[1])
+    return 0
+
+
+def one_world(name: str, size: int, cells: int, world_path: str) -> dict[str, float]:
+    """Build a graph and search it, in this process: what it took."""
+    lattice = Lattice.named(name)
+    n = lattice.dim
+    warm = LatticeGraph.rasterise(lambda p: np.ones(len(p), bool), lattice, [0.0] * n, [9.0] * n, neighbourhood=size)
+    a = np.flatnonzero(warm.free)
+    astar(warm, warm.flat_to_index(a[:1])[0], warm.flat_to_index(a[-1:])[0])
+    before = resident("VmRSS")
+    if world_path:
+        from hexmap.worlds import open_world, read_scenario
+
+        world = open_world(world_path)
+        problems = read_scenario(world_path.replace(".3dmap.gz", ".3dmap.3dscen.gz"))
+        longest = int(np.argmax(problems.lengths))
+        ends = [world.centre(at[longest][None])[0] for at in (problems.starts, problems.goals)]
+        amount = math.prod(world.states.shape)
+        begin = time.perf_counter()
+        graph = world.to_graph(lattice, neighbourhood=size)
+    else:
+        edge = round(cells ** (1 / n))
+        ends = [np.full(n, 2.0), np.full(n, edge - 2.0)]
+        amount = edge**n
+        begin = time.perf_counter()
+        graph = LatticeGraph.rasterise(
+            lambda p: box_free(p, 0.0, float(edge)), lattice, [0.0] * n, [float(edge)] * n, neighbourhood=size
+        )
+    build = time.perf_counter() - begin
+    start, goal = lattice.quantise(np.array(ends))
+    tracemalloc.start()
+    at = resident("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")
+    begin = time.perf_counter()
+    path = astar(graph, start, goal)
+    plan = time.perf_counter() - begin
+    return {
+        "cells": amount,
+        "window": graph.size,
+        "graph": graph.memory,
+        "built": at - before,
+        "reserved": tracemalloc.get_traced_memory()[1],
+        "search": resident("VmHWM") - at,
+        "build": build,
+        "plan": plan,
+        "expansions": path.expansions,
+        "cost": path.cost,
+    }
+
+
+def memory(cells: int = 10**8) -> None:
+    """Print bytes a cell of the world: of the graph, and of a search from corner to corner."""
+    head = ["bytes a cell of the world", "cells", "window cells a cell", "graph", "resident"]
+    rows: list[list[object]] = [[*head, "search, reserved", "resident", "build, s", "plan, s", "expanded"]]
+    tasks = [(name, size, "") for name, size in WORLDS]
+    data = Path(os.environ.get("HEXMAP_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
+    warframe = data / "planning" / "warframe" / "A1.3dmap.gz"
+    if warframe.exists():
+        tasks += [("Z3", 26, str(warframe)), ("D3", 12, str(warframe)), ("D3*", 8, str(warframe))]
+    for name, size, world in tasks:
+        command = [sys.executable, "-m", "tests.benchmarks.planning", "--child", json.dumps([name, size, cells, world])]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        label = f"{name}-{size}, {'Warframe A1' if world else 'box'}"
+        if done.returncode:
+            print(f"{label} is left out: {(done.stderr.strip().splitlines() or ['killed'])[-1]}")
+            continue
+        r = json.loads(done.stdout.splitlines()[-1])
+        amount = r["cells"]
+        rows.append(
+            [label, amount, r["window"] / amount, *[r[k] / amount for k in ("graph", "built", "reserved", "search")],
+             r["build"], r["plan"], r["expansions"]]
+        )  # fmt: skip
+    table(rows)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print the figures asked for."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.planning", description="Figures of planning.")
+    parser.add_argument("figures", nargs="*", help="fields, corners, memory; all without a name")
+    parser.add_argument("--cells", type=int, default=10**8, help="of the worlds of the figure memory")
+    parser.add_argument("--repeats", type=int, default=5, help="of which the median is printed")
+    parser.add_argument("--child", help=argparse.SUPPRESS)
+    chosen = parser.parse_args(arguments)
+    if chosen.child:
+        print(json.dumps(one_world(*json.loads(chosen.child))))
+        return
+    figures = chosen.figures or ["fields", "corners", "memory"]
+    for figure in figures:
+        if figure not in ("fields", "corners", "memory"):
+            parser.error(f"no figure {figure!r}: fields, corners or memory")
+    print(versions("hexmap", "numpy", "numba", "scipy", "dijkstra3d", "networkx"), "\n")
+    if "fields" in figures:
+        print("millions of settled cells a second\n")
+        fields(chosen.repeats)
+    if "corners" in figures:
+        corners(chosen.repeats)
+        corner_peers(chosen.repeats)
+    if "memory" in figures:
+        memory(chosen.cells)
 
 
 if __name__ == "__main__":

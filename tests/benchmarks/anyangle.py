@@ -1,0 +1,144 @@
+"""Figures of any-angle planning: lengths over the true optimum, times, and what the search looked at.
+
+In the plane: the MovingAI maps rasterised by the cells' centres at the source resolution, 1/2 and 1/4 of it; the
+optimum is that of a point through the source map between the same two points (planners.optimum).
+Rasters on hexagons can open or shut gaps of the source map: ratios below one are such gaps. In space: the
+Warframe maps, against the shortest of the paths that any planner here found. Times are CPU seconds of one
+thread. ``python -m tests.benchmarks.anyangle DATA [QUERIES [MAP ...]]``.
+"""
+
+from __future__ import annotations
+
+import gzip
+import sys
+import time
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from hexmap.graph import LatticeGraph
+from hexmap.lattice import Lattice
+from planners import NoPath, astar, shortcut
+from planners._anyangle import search_way
+from planners.optimum import AnyAngleOptimum
+from tests.benchmarks._timing import table, versions
+
+PLANE = (("Z2", 8, 1.0), ("Z2", 8, 0.5), ("A2", 6, 0.5), ("A2", 12, 0.5), ("Z2", 8, 0.25), ("A2", 6, 0.25))
+MAPS = ("arena", "den520d", "AR0011SR", "brc202d", "Berlin_0_512", "maze512-8-0", "random512-25-0")
+SPACE = (("Z3", 26), ("D3", 18), ("D3*", 14))
+HEAD: list[object] = [
+    "length / best",
+    "queries",
+    "mean",
+    "95 %",
+    "most",
+    "of A*",
+    "ms",
+    "A* ms",
+    "expanded",
+    "lines",
+    "cells",
+]
+
+
+def read_map(folder: FilePath, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the free cells (columns, rows) of a map, and the ends (Q, 2, 2) of its problems."""
+    lines = (folder / f"{name}.map").read_text().splitlines()
+    free = np.array([[c in ".GS" for c in row] for row in lines[4:]]).T.copy()
+    rows = [line.split() for line in (folder / f"{name}.map.scen").read_text().splitlines()[1:] if line.strip()]
+    return free, np.array([[int(v) for v in row[4:8]] for row in rows]).reshape(-1, 2, 2)
+
+
+def read_voxels(folder: FilePath, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the free cells of a map in space, and the ends (Q, 2, 3) of its problems."""
+    with gzip.open(folder / f"{name}.3dmap.gz", "rt") as file:
+        free = np.ones([int(v) for v in file.readline().split()[1:4]], np.bool_)
+        free[tuple(np.loadtxt(file, dtype=np.int64).T)] = False
+    with gzip.open(folder / f"{name}.3dmap.3dscen.gz", "rt") as file:
+        rows = [line.split() for line in file.read().splitlines()[2:] if line.strip()]
+    return free, np.array([[int(v) for v in row[:6]] for row in rows]).reshape(-1, 2, 3)
+
+
+def rasterise(free: np.ndarray, lattice: Lattice, neighbourhood: int) -> LatticeGraph:
+    """Make the graph of cells whose centre lies in a free cell; cell i spans i - 0.5 to i + 0.5."""
+    last = np.array(free.shape) - 1
+
+    def free_at(points: np.ndarray) -> np.ndarray:
+        return free[tuple(np.clip(np.floor(points + 0.5).astype(np.int64), 0, last).T)]
+
+    inside = 0.5 - 1e-9
+    return LatticeGraph.rasterise(
+        free_at, lattice, -inside * np.ones(free.ndim), last + inside, neighbourhood=neighbourhood
+    )
+
+
+def one_map(label: str, free: np.ndarray, ends: np.ndarray, kind: tuple[str, int, float], count: int) -> list[object]:
+    """Return a row of the table."""
+    name, neighbourhood, size = kind
+    lattice = Lattice.named(name, size)
+    graph = rasterise(free, lattice, neighbourhood)
+    optimum = AnyAngleOptimum(free) if free.ndim == 2 else None
+    rows: list[list[float]] = []
+    for k in np.random.default_rng(0).permutation(len(ends))[:count]:
+        cells = lattice.quantise(ends[k].astype(np.float64))
+        a, b = graph.index_to_flat(cells).tolist()
+        if min(a, b) < 0 or a == b or not (graph.free[a] and graph.free[b]):
+            continue
+        if not rows:
+            search_way(graph, a, b)  # compiles
+        begin = time.thread_time()
+        way, counts = search_way(graph, a, b)
+        middle = time.thread_time()
+        try:
+            path = astar(graph, cells[0], cells[1])
+        except NoPath:
+            continue
+        after = time.thread_time()
+        points = graph.centres(way)
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        try:
+            if optimum is not None:
+                best = optimum.path(points[0], points[-1]).length
+            else:
+                raw, _ = search_way(graph, a, b, lazy=False)
+                eager = float(np.linalg.norm(np.diff(graph.centres(raw), axis=0), axis=1).sum())
+                best = min(length, eager, shortcut(graph, path).length)
+        except NoPath:
+            continue
+        ratios = length / best, length / path.length
+        rows.append([*ratios, 1e3 * (middle - begin), 1e3 * (after - middle), counts[0], counts[2], counts[3]])
+    if not rows:
+        return [label, 0, *[""] * (len(HEAD) - 2)]
+    r = np.array(rows, dtype=np.float64)
+    mean = r.mean(axis=0)
+    over = [f"{v:.4f}" for v in (mean[0], np.quantile(r[:, 0], 0.95), r[:, 0].max(), mean[1])]
+    return [label, len(r), *over, *[float(v) for v in mean[2:4]], *[int(v) for v in mean[4:]]]
+
+
+def main(data: str = "/data", queries: str = "100", *maps: str) -> None:
+    """Print the tables."""
+    print(versions("hexmap", "numpy", "numba"), "\n")
+    folder = FilePath(data) / "planning"
+    rows: list[list[object]] = [HEAD]
+    for name in maps or MAPS:
+        if name not in MAPS:
+            continue
+        free, ends = read_map(folder / "movingai", name)
+        for kind in PLANE:
+            rows.append(one_map(f"{name}, {kind[0]}-{kind[1]}, 1/{1 / kind[2]:g}", free, ends, kind, int(queries)))
+    if len(rows) > 1:
+        table(rows)
+    rows = [HEAD]
+    for name in maps or ("Simple", "Complex"):
+        if name in MAPS:
+            continue
+        free, ends = read_voxels(folder / "warframe", name)
+        for lattice, neighbourhood in SPACE:
+            label = f"{name}, {lattice}-{neighbourhood}"
+            rows.append(one_map(label, free, ends, (lattice, neighbourhood, 1.0), int(queries)))
+    if len(rows) > 1:
+        table(rows)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
