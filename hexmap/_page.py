@@ -17,20 +17,26 @@ from hexmap.voxels import VoxelList
 
 __all__ = [
     "FAINT",
+    "FAR_COLOUR",
+    "FRAME",
     "FREE_COLOUR",
     "HEIGHTS",
+    "NEAR_COLOUR",
     "PATH_COLOUR",
     "SHADES",
     "UNKNOWN_COLOUR",
     "Page",
     "draw_captions",
+    "draw_path_captions",
     "thresholds",
 ]
 
 UNKNOWN_COLOUR, FREE_COLOUR = "#dde3ea", "#ffffff"
 SHADES = ("#a9b6cf", "#8494b5", "#62749b", "#445680", "#293a62", "#121f40")  # few hits to many
 PATH_COLOUR = "#e4572e"
-FAINT = "#6b778c"
+FAINT, FRAME = "#6b778c", "#b4bfcd"
+NEAR_COLOUR = "#f6ead9"  # free, but too near to an obstacle for the robot
+FAR_COLOUR = "#c3ccda"  # occupied, but above or below
 HEIGHTS = "viridis"
 _TEXT = "#1f2a3d"
 
@@ -42,7 +48,10 @@ _MAX_PIXELS = 50_000_000
 
 @dataclass(frozen=True)
 class Page:
-    """Where the map lies on the page: inches, the box it shows in metres, and whole pixels."""
+    """Where the map lies on the page: inches, the box it shows in metres, and whole pixels.
+
+    ``below`` is room for something else under the map, inches; ``y_down`` puts the low y at the top.
+    """
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -50,9 +59,19 @@ class Page:
     dpi: float
     titled: bool
     captions: float
+    below: float = 0.0
+    y_down: bool = False
 
     @classmethod
-    def around(cls, places: NDArray[np.float64], lattice: Lattice, dpi: float, titled: bool) -> Page:
+    def around(
+        cls,
+        places: NDArray[np.float64],
+        lattice: Lattice,
+        dpi: float,
+        titled: bool,
+        y_down: bool = False,
+        shrink: float = 1.0,
+    ) -> Page:
         """Fit a page around ``places`` (N, 2), with some room and not too far from a square."""
         if len(places):
             low, high = places.min(axis=0), places.max(axis=0)
@@ -63,12 +82,13 @@ class Page:
         size = high - low
         wanted = np.maximum(size, size.max() / 3.0)
         low, high = low - 0.5 * (wanted - size), high + 0.5 * (wanted - size)
-        pixel = float(wanted.max()) / round(_LONG_SIDE * dpi)
+        pixel = float(wanted.max()) / round(_LONG_SIDE * shrink * dpi)
         counts = np.maximum(np.ceil(wanted / pixel - 1e-9), 1.0)
         if counts.prod() > _MAX_PIXELS:
             raise ArgumentError(f"a picture of {counts[0]:.0f} x {counts[1]:.0f} pixels is too large; lower the dpi")
         high = low + counts * pixel
-        return cls(low, high, (int(counts[0]), int(counts[1])), dpi, titled, max(_MIN_WIDTH, counts[0] / dpi))
+        captions = max(_MIN_WIDTH, counts[0] / dpi)
+        return cls(low, high, (int(counts[0]), int(counts[1])), dpi, titled, captions, y_down=y_down)
 
     def _whole(self, inches: float) -> float:
         """Return a length that is a whole number of pixels, so that the map's pixels are the image's."""
@@ -85,7 +105,7 @@ class Page:
 
     @property
     def bottom(self) -> float:
-        return self._whole(_FOOT)
+        return self._whole(_FOOT + self.below)
 
     @property
     def width(self) -> float:
@@ -93,14 +113,14 @@ class Page:
 
     @property
     def height(self) -> float:
-        return self._whole(_FOOT + (_HEAD if self.titled else _MARGIN)) + self.pixels[1] / self.dpi
+        return self._whole(_FOOT + self.below + (_HEAD if self.titled else _MARGIN)) + self.pixels[1] / self.dpi
 
     def add_axes(self, figure: Any) -> Any:
         """Add axes in metres that cover the map's own pixels."""
         w, h = self.pixels[0] / self.dpi / self.width, self.pixels[1] / self.dpi / self.height
         axes = figure.add_axes((self.left / self.width, self.bottom / self.height, w, h))
         axes.set_xlim(self.low[0], self.high[0])
-        axes.set_ylim(self.low[1], self.high[1])
+        axes.set_ylim(*((self.high[1], self.low[1]) if self.y_down else (self.low[1], self.high[1])))
         axes.set_axis_off()
         return axes
 
@@ -118,6 +138,41 @@ def draw_captions(
     figure: Any, page: Page, states: States, heights: tuple[float, float] | None, with_path: bool, title: str | None
 ) -> None:
     """Write the title, the scale bar, the legend and what the map is, and frame it."""
+    lattice, known = states.occupied.lattice, f"{len(states.occupied):,} occupied"
+    flat = lattice.dim == 2
+    known += f", {len(states.free):,} free cells" if flat else " cells, seen from above"
+    legend = _draw_sheet(figure, page, title, f"{_lattice_words(lattice)}; {known}")
+    if flat:
+        legend.add_states(states)
+    elif heights is not None:
+        legend.add_heights(*heights)
+    if with_path:
+        legend.add_line("trajectory")
+
+
+def draw_path_captions(
+    figure: Any,
+    page: Page,
+    lattice: Lattice,
+    kinds: list[tuple[str, str]],
+    title: str | None,
+    words: str,
+    goal_missed: bool,
+) -> None:
+    """Write what surrounds the picture of a path; ``kinds`` are the names and colours of its cells."""
+    legend = _draw_sheet(figure, page, title, "; ".join(filter(None, (_lattice_words(lattice), words))))
+    legend.add_kinds(kinds, lattice)
+    if goal_missed:
+        legend.add_cross("goal, not reached")
+    legend.add_line("path")
+
+
+def _lattice_words(lattice: Lattice) -> str:
+    return f"{lattice.title} lattice, resolution {_metres(lattice.resolution)}"
+
+
+def _draw_sheet(figure: Any, page: Page, title: str | None, words: str) -> _Legend:
+    """Write the title, the scale bar and a line of small print, frame the map, and return its legend."""
     from matplotlib.patches import Rectangle
 
     sheet = figure.add_axes((0, 0, 1, 1))
@@ -125,7 +180,7 @@ def draw_captions(
     sheet.set_ylim(0, page.height)
     sheet.set_axis_off()
     w, h = (page.high - page.low) / page.metres_per_inch
-    sheet.add_patch(Rectangle((page.left, page.bottom), w, h, facecolor="none", edgecolor="#b4bfcd", linewidth=0.6))
+    sheet.add_patch(Rectangle((page.left, page.bottom), w, h, facecolor="none", edgecolor=FRAME, linewidth=0.6))
     left, right = _MARGIN, page.width - _MARGIN
     if title is not None:
         sheet.text(left, page.height - 0.5 * _HEAD, title, fontsize=10.5, color=_TEXT, va="center")
@@ -134,18 +189,8 @@ def draw_captions(
     bar = metres / page.metres_per_inch
     sheet.plot([left, left, left + bar, left + bar], [row + 0.05, row, row, row + 0.05], color=_TEXT, linewidth=1.1)
     sheet.text(left + bar + 0.07, row, _metres(metres), fontsize=7.5, color=_TEXT, va="center")
-    legend = _Legend(sheet, right, row)
-    flat = states.occupied.lattice.dim == 2
-    if flat:
-        legend.add_states(states)
-    elif heights is not None:
-        legend.add_heights(*heights)
-    if with_path:
-        legend.add_path()
-    lattice, known = states.occupied.lattice, f"{len(states.occupied):,} occupied"
-    known += f", {len(states.free):,} free cells" if flat else " cells, seen from above"
-    words = f"{lattice.title} lattice, resolution {_metres(lattice.resolution)}; {known}"
     sheet.text(left, 0.24 * _FOOT, words, fontsize=7, color=FAINT, va="center")
+    return _Legend(sheet, right, row)
 
 
 class _Legend:
@@ -194,9 +239,24 @@ class _Legend:
         self._x -= width + 0.06
         self._text(f"height {_metres(low)}", 0.18)
 
-    def add_path(self) -> None:
-        """Add the line of the trajectory."""
-        self._text("trajectory", 0.1)
+    def add_kinds(self, kinds: list[tuple[str, str]], lattice: Lattice) -> None:
+        """Add kinds of cells by name and colour."""
+        shape = silhouette(lattice)
+        shape = shape * (0.065 / np.abs(shape).max())
+        for name, colour in reversed(kinds):
+            self._text(name, 0.05)
+            self._swatch(shape, colour, "#a3afbf")
+            self._x -= 0.12
+
+    def add_cross(self, name: str) -> None:
+        """Add the mark of a place that was not reached."""
+        self._text(name, 0.1)
+        self._sheet.plot([self._x], [self._row], marker="x", markersize=4.5, markeredgecolor=PATH_COLOUR)
+        self._x -= 0.15
+
+    def add_line(self, name: str) -> None:
+        """Add the line of a path or a trajectory."""
+        self._text(name, 0.1)
         ends = [self._x - 0.24, self._x]
         self._sheet.plot(ends, [self._row] * 2, color=PATH_COLOUR, linewidth=1.1)
         for x, face in zip(ends, ("white", PATH_COLOUR), strict=True):

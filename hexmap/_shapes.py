@@ -28,7 +28,7 @@ class ClassTable:
 
     def __init__(self, lattice: Lattice, lists: list[tuple[VoxelList, NDArray[np.uint8]]]) -> None:
         """Make a table of disjoint lists, each with a class (M,) from 1 to 255 for each cell; 0 elsewhere."""
-        self._lattice = lattice
+        self.lattice = lattice
         index = np.concatenate([cells.index for cells, _ in lists] or [np.empty((0, lattice.dim), np.int32)])
         classes = np.concatenate([c for _, c in lists] or [np.empty(0, np.uint8)])
         self._empty = len(index) == 0
@@ -49,7 +49,7 @@ class ClassTable:
         """Return the class (N,) of the cell that each of ``points`` (N, n), metres, lies in."""
         if self._empty:
             return np.zeros(len(points), np.uint8)
-        index = self._lattice.quantise(points)
+        index = self.lattice.quantise(points)
         if not self._dense:
             keys = pack(index)
             at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
@@ -202,13 +202,16 @@ def _cycles(following: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np
     return np.array(order, np.int64), np.array(sizes, np.int64)
 
 
-def silhouette(lattice: Lattice) -> NDArray[np.float64]:
-    """Return the cell seen from above: a convex polygon (K, 2), metres, counter-clockwise."""
+def silhouette(lattice: Lattice, seen: tuple[int, int] = (0, 1)) -> NDArray[np.float64]:
+    """Return the cell as it looks along the axis not ``seen``: a convex polygon (K, 2), metres, counter-clockwise.
+
+    From above where nothing else is said.
+    """
     if lattice.dim == 2:
         return lattice.cell.vertices
     from scipy.spatial import ConvexHull
 
-    flat = lattice.cell.vertices[:, :2]
+    flat = lattice.cell.vertices[:, seen]
     # Vertices above one another differ by rounding only; the hull should not see two of them.
     flat = np.unique(np.round(flat, 9 - int(np.floor(np.log10(lattice.resolution)))), axis=0)
     return np.asarray(flat[ConvexHull(flat).vertices])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import io
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,16 +100,7 @@ def draw_map(
     tops = _tops(states.occupied) if states.occupied.lattice.dim == 3 else None
     page = Page.around(_places(states, tops, positions), states.occupied.lattice, dpi, title is not None)
 
-    import matplotlib
-    from matplotlib import style
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    # The user's own style must not leak in, nor ours out; the salt makes ids in SVG repeatable.
-    with style.context("default", after_reset=True), matplotlib.rc_context(_SETTINGS):
-        figure = Figure(figsize=(page.width, page.height), dpi=dpi, facecolor="white")
-        FigureCanvasAgg(figure)
-        axes = page.add_axes(figure)
+    def draw(figure: Any, axes: Any) -> None:
         if tops is not None:
             _draw_tops(axes, page, tops)
         elif suffix == ".png":
@@ -117,17 +109,34 @@ def draw_map(
             _draw_outlines(axes, states)
         if tops is None:
             _draw_cell_edges(axes, page, states)
-        _draw_trajectory(axes, positions)
+        draw_line(axes, positions)
         if len(states.occupied) + (len(states.free) if tops is None else 0) == 0:
             words = "empty map: no cell is occupied" + (" or free" if tops is None else "")
             axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", color=FAINT, fontsize=11)
         draw_captions(figure, page, states, tops.heights if tops else None, len(positions) > 0, title)
+
+    save_page(page, path, draw)
+    return path
+
+
+def save_page(page: Page, path: Path, draw: Callable[[Any, Any], None]) -> None:
+    """Write a page into a file of a known suffix; ``draw`` takes the figure and the axes of the map."""
+    import matplotlib
+    from matplotlib import style
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    suffix = path.suffix.lower()
+    # The user's own style must not leak in, nor ours out; the salt makes ids in SVG repeatable.
+    with style.context("default", after_reset=True), matplotlib.rc_context(_SETTINGS):
+        figure = Figure(figsize=(page.width, page.height), dpi=page.dpi, facecolor="white")
+        FigureCanvasAgg(figure)
+        draw(figure, page.add_axes(figure))
         buffer = io.BytesIO()
-        figure.savefig(buffer, format=suffix[1:], dpi=dpi, metadata=_METADATA[suffix])
+        figure.savefig(buffer, format=suffix[1:], dpi=page.dpi, metadata=_METADATA[suffix])
     content = buffer.getvalue()
     with atomic_write(path) as handle:
         handle.write(_shorten(content) if suffix == ".svg" else content)
-    return path
 
 
 def _shorten(svg: bytes) -> bytes:
@@ -207,30 +216,47 @@ def _shades(occupied: VoxelList) -> NDArray[np.int64]:
 
 def _draw_pixels(figure: Any, page: Page, states: States) -> None:
     """Put the exact image of the map onto the figure, pixel by pixel."""
-    from matplotlib.colors import to_rgb
-
-    colours = (UNKNOWN_COLOUR, FREE_COLOUR, *SHADES)
-    palette = 255.0 * np.array([to_rgb(colour) for colour in colours], np.float32)
     occupied, free = states.occupied, states.free
     shades = (_shades(occupied) + 2).astype(np.uint8)
     table = ClassTable(occupied.lattice, [(free, np.ones(len(free), np.uint8)), (occupied, shades)])
+    colours = (UNKNOWN_COLOUR, FREE_COLOUR, *SHADES)
+    place_cells(figure, page, table, colours, occupied.centres(), shades)
+
+
+def place_cells(
+    figure: Any,
+    page: Page,
+    table: ClassTable,
+    colours: tuple[str, ...],
+    walls: NDArray[np.float64],
+    classes: NDArray[np.uint8],
+) -> None:
+    """Put the exact image of cells onto the figure, the classes of ``table`` in their ``colours``.
+
+    The ``walls`` (M, 2), metres, are the centres of cells of ``classes`` (M,) that must stay visible
+    where they are smaller than a pixel.
+    """
+    from matplotlib.colors import to_rgb
+
+    palette = 255.0 * np.array([to_rgb(colour) for colour in colours], np.float32)
     (width, height), n = page.pixels, _SUPERSAMPLING
     pixel = (page.high[0] - page.low[0]) / width
     xs = page.low[0] + (np.arange(width * n) + 0.5) * (pixel / n)
-    ys = page.high[1] - (np.arange(height * n) + 0.5) * (pixel / n)
+    top, step = (page.low[1], pixel) if page.y_down else (page.high[1], -pixel)
+    ys = top + (np.arange(height * n) + 0.5) * (step / n)
     image = np.empty((height, width, 3), np.uint8)
     for rows, points in pixel_rows(xs, ys, n):
-        classes = table.at(points).reshape(-1, n, width, n)
+        sampled = table.at(points).reshape(-1, n, width, n)
         # The samples of a pixel are added one after the other: far quicker than a mean over two axes.
-        total = np.zeros((len(classes), width, 3), np.float32)
+        total = np.zeros((len(sampled), width, 3), np.float32)
         for i, j in np.ndindex(n, n):
-            total += palette[classes[:, i, :, j]]
+            total += palette[sampled[:, i, :, j]]
         image[rows.start // n : rows.stop // n] = np.rint(total / (n * n))
-    if occupied.lattice.resolution < 2.0 * pixel and len(occupied):
+    if table.lattice.resolution < 2.0 * pixel and len(walls):
         # A wall of one cell must not fade away on a small picture of a large map.
-        at = (occupied.centres() - (page.low[0], page.high[1])) / (pixel, -pixel)
+        at = (walls - (page.low[0], top)) / (pixel, step)
         columns, lines = np.clip(at.astype(np.int64), 0, (width - 1, height - 1)).T
-        ink = np.rint(palette[shades]).astype(np.uint8)
+        ink = np.rint(palette[classes]).astype(np.uint8)
         np.minimum.at(image, (lines, columns), ink)
     _place_image(figure, image, round(page.left * page.dpi), round(page.bottom * page.dpi))
 
@@ -258,14 +284,19 @@ def _place_image(figure: Any, image: NDArray[np.uint8], x: int, y: int) -> None:
 
 def _draw_outlines(axes: Any, states: States) -> None:
     """Draw whole areas as curves: what is known, then the occupied cells from pale to dark."""
+    shades = _shades(states.occupied)
+    # Each area holds the darker ones, so no seam can show between two shades.
+    areas = [states.free.merge(states.occupied), *(states.occupied.select(shades >= k) for k in range(len(SHADES)))]
+    draw_areas(axes, list(zip(areas, (FREE_COLOUR, *SHADES), strict=True)))
+
+
+def draw_areas(axes: Any, areas: list[tuple[VoxelList, str]]) -> None:
+    """Draw whole areas as curves in their colours, the first one lowest, on the colour of the unknown."""
     from matplotlib.patches import Rectangle
 
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=UNKNOWN_COLOUR, linewidth=0))
-    shades = _shades(states.occupied)
-    # Each area holds the darker ones, so no seam can show between two shades.
-    areas = [states.free.merge(states.occupied), *(states.occupied.select(shades >= k) for k in range(len(SHADES)))]
-    for cells, colour in zip(areas, (FREE_COLOUR, *SHADES), strict=True):
+    for cells, colour in areas:
         rings = outline(cells)
         if len(rings.ends):
             # Not add_patch, which walks through the curve in Python to find limits that are fixed here.
@@ -295,20 +326,23 @@ def _draw_cell_edges(axes: Any, page: Page, states: States) -> None:
     if len(states.occupied) + len(states.free) > _OUTLINED_CELLS:
         return
     for cells, colour in ((states.free, UNKNOWN_COLOUR), (states.occupied, FREE_COLOUR)):
-        _add_cells(axes, page, lattice, cells.centres(), facecolors="none", edgecolors=colour, linewidths=0.4)
+        add_cells(axes, page, lattice, cells.centres(), facecolors="none", edgecolors=colour, linewidths=0.4)
 
 
-def _add_cells(axes: Any, page: Page, lattice: Lattice, centres: NDArray[np.float64], **style: Any) -> None:
-    """Add the cell's silhouette at each of the centres (N, 2), metres: one shape, many places."""
+def add_cells(
+    axes: Any, page: Page, lattice: Lattice, centres: NDArray[np.float64], seen: tuple[int, int] = (0, 1), **style: Any
+) -> None:
+    """Add the cell's silhouette at each of the centres (N, n), metres, along the two axes that are seen."""
     from matplotlib.collections import PathCollection
     from matplotlib.path import Path as Curve
     from matplotlib.transforms import Affine2D
 
-    corners = silhouette(lattice)
+    corners = silhouette(lattice, seen)
     shape = Curve(np.vstack([corners, corners[:1]]), closed=True)
-    cells = PathCollection([shape], offsets=centres[:, :2], offset_transform=axes.transData, **style)
+    cells = PathCollection([shape], offsets=centres[:, seen], offset_transform=axes.transData, **style)
     # In inches, not through the axes' own transform, so that it holds at any resolution of the output.
-    cells.set_transform(Affine2D().scale(1.0 / page.metres_per_inch) + axes.figure.dpi_scale_trans)
+    scale = 1.0 / page.metres_per_inch
+    cells.set_transform(Affine2D().scale(scale, -scale if page.y_down else scale) + axes.figure.dpi_scale_trans)
     axes.add_collection(cells, autolim=False)
 
 
@@ -331,18 +365,19 @@ def _draw_tops(axes: Any, page: Page, tops: _Tops) -> None:
     # Edges are opaque: through translucent ones the seams between neighbours would shine.
     edges = faces * (0.72, 0.72, 0.72, 1.0)
     width = min(0.35, 0.05 * points)
-    _add_cells(axes, page, tops.lattice, tops.centres, facecolors=faces, edgecolors=edges, linewidths=width)
+    add_cells(axes, page, tops.lattice, tops.centres, facecolors=faces, edgecolors=edges, linewidths=width)
 
 
 # ---------------------------------------------------------------------- the rest of the page
 
 
-def _draw_trajectory(axes: Any, positions: NDArray[np.float64]) -> None:
-    """Draw the way of the robot: a ring where it starts, a disc where it ends."""
+def draw_line(axes: Any, positions: NDArray[np.float64], width: float = 0.9) -> None:
+    """Draw the way of the robot, ``width`` points wide: a ring where it starts, a disc where it ends."""
     if len(positions) == 0:
         return
-    axes.plot(*positions.T, color="white", linewidth=2.2, alpha=0.7, solid_capstyle="round", zorder=5)
-    axes.plot(*positions.T, color=PATH_COLOUR, linewidth=0.9, solid_capstyle="round", solid_joinstyle="round", zorder=6)
+    axes.plot(*positions.T, color="white", linewidth=width + 1.3, alpha=0.7, solid_capstyle="round", zorder=5)
+    line = dict(color=PATH_COLOUR, linewidth=width, solid_capstyle="round", solid_joinstyle="round")
+    axes.plot(*positions.T, **line, zorder=6)
     ends = positions[np.isfinite(positions).all(axis=1)]
     for place, face, size in ((ends[0], "white", 5.5), (ends[-1], PATH_COLOUR, 5.5)):
         mark = dict(marker="o", markersize=size, markerfacecolor=face, markeredgecolor=PATH_COLOUR, markeredgewidth=1.2)

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import xml.etree.ElementTree
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hexmap._page import FREE_COLOUR, SHADES, UNKNOWN_COLOUR, Page, thresholds
+from hexmap._page import FREE_COLOUR, NEAR_COLOUR, SHADES, UNKNOWN_COLOUR, Page, thresholds
 from hexmap._shapes import outline, silhouette
 from hexmap.drawing import SUFFIXES, draw_map
 from hexmap.errors import ArgumentError, FileAccessError
+from hexmap.graph import LatticeGraph
 from hexmap.lattice import Lattice
-from hexmap.maps import Level, Map, StateRule
+from hexmap.maps import FREE, OCCUPIED, UNKNOWN, Level, Map, StateRule
+from hexmap.path_drawing import draw_path
 from hexmap.pose import Pose
 from hexmap.trajectory import Trajectory
 from hexmap.voxels import VoxelList
+from planners import Path as Path_
+from planners import astar, to_cell
 from tests.lattices import CASES, JIT, PLANAR, SPATIAL, Case
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
@@ -289,3 +294,84 @@ def test_a_building_stays_small(suffix: str, tmp_path: Path) -> None:
     assert len(map_.state().free) > 250_000
     path = draw_map(map_, tmp_path / f"m{suffix}", dpi=100.0)
     assert path.stat().st_size < 2_000_000
+
+
+# ---------------------------------------------------------------------- paths
+
+
+def walled(lattice: Lattice) -> LatticeGraph:
+    """A box with a wall across it that leaves a gap."""
+    n = lattice.dim
+    free = lambda points: (np.abs(points[:, 0]) > 0.15) | (points[:, 1] > 0.4)
+    return LatticeGraph.rasterise(free, lattice, [-1.5] * n, [1.5] * n)
+
+
+def way_around(graph: LatticeGraph) -> Path_:
+    start, goal = np.full((2, graph.lattice.dim), -0.7)
+    goal[0] = 0.7
+    return astar(graph, to_cell(graph, start), to_cell(graph, goal))
+
+
+@each
+@each_suffix
+def test_a_path_is_drawn_the_same_each_time(case: Case, suffix: str, tmp_path: Path) -> None:
+    graph = walled(case.lattice.scaled(0.12 / case.lattice.resolution))
+    path = way_around(graph)
+    files = [tmp_path / f"{k}{suffix}" for k in "ab"]
+    for file in files:
+        options = dict(goal=np.zeros(case.lattice.dim), title="a path", words="more", dpi=DPI, y_down=True)
+        assert draw_path(path.points, file, graph.with_clearance(0.13), **options) == file
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert files[0].stat().st_size > 500
+
+
+@planar
+@pytest.mark.parametrize("y_down", [False, True])
+def test_a_picture_of_a_path_shows_true_cells(case: Case, y_down: bool, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    lattice = case.lattice.scaled(0.2 / case.lattice.resolution)
+    graph = walled(lattice)
+
+    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        states = np.where(graph.free[graph.index_to_flat(lattice.quantise(points))] != 0, FREE, OCCUPIED)
+        return np.where(points[:, 0] > 0.9, UNKNOWN, states).astype(np.uint8)
+
+    blocked = graph.with_clearance(0.25)
+    corners = np.full(2, -1.5), np.full(2, 1.5)
+    line = np.array([[-1.3, 1.3]])
+    file = draw_path(line, tmp_path / "p.png", blocked, state_at, extent=corners, whole=True, y_down=y_down, dpi=60.0)
+    image = np.rint(255 * imread(file)[:, :, :3]).astype(int)
+    page = Page.around(np.array(corners), lattice, 60.0, False, y_down)
+    known = blocked.flat_to_index(np.flatnonzero(blocked.free | graph.free | 1))
+    centres = lattice.centres(known)
+    inside = np.all(np.abs(centres) < 1.5, axis=1) & (np.hypot(*(centres - line[0]).T) > 0.35)
+    for index, centre in zip(known[inside], centres[inside], strict=True):
+        offset = (centre - page.low) if y_down else (np.array([1, -1]) * (centre - (page.low[0], page.high[1])))
+        column, row = (offset / page.metres_per_inch * 60.0).astype(int)
+        pixel = image[image.shape[0] - round(page.bottom * 60) - page.pixels[1] + row, round(page.left * 60) + column]
+        state = int(state_at(centre[None])[0])
+        near = state == FREE and not blocked.free[blocked.index_to_flat(index[None])[0]]
+        wanted = NEAR_COLOUR if near else {UNKNOWN: UNKNOWN_COLOUR, FREE: FREE_COLOUR, OCCUPIED: SHADES[-2]}[state]
+        assert pixel.tolist() == rgb(wanted), (centre, state)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"points": np.zeros((2, 3))},
+        {"points": np.zeros((0, 2))},
+        {"points": np.full((2, 2), np.nan)},
+        {"goal": [1.0]},
+        {"extent": ((0, 0), (-1, 1))},
+        {"dpi": 1.0},
+        {"path": "p.gif"},
+    ],
+)
+def test_what_is_no_picture_of_a_path(change: dict[str, Any], tmp_path: Path) -> None:
+    graph = walled(Lattice.named("A2", 0.2))
+    values: dict[str, Any] = {"points": np.zeros((2, 2)), "path": "p.png", **change}
+    points, path = values.pop("points"), tmp_path / values.pop("path")
+    with pytest.raises(ArgumentError):
+        draw_path(points, path, graph, **values)
+    assert not list(tmp_path.iterdir())

@@ -53,7 +53,7 @@ def rotation(
     from hexmap.errors import ArgumentError
     from hexmap.experiments.rotation import RotationSettings, rotation_experiment
 
-    _check_folder(output)
+    check_folder(output)
     dim = 2 if area is not None or poses is not None else 3
     wanted = clouds.cell_size(resolution, volume, area, dim)
     cloud, notes, warnings = clouds.read_cloud(
@@ -80,10 +80,10 @@ def rotation(
             update(done)
 
         report = rotation_experiment(
-            cloud, settings, source=points.name, command=_command(), notes=notes, folder=_make(output),
+            cloud, settings, source=points.name, command=command_line(), notes=notes, folder=make_folder(output),
             workers=workers, progress=progress,
         )  # fmt: skip
-    _write(report, output)
+    write_report(report, output)
 
 
 @app.command()
@@ -95,9 +95,9 @@ def quantiser(
     """Uniform data, cell volumes by sampling, cost: every lattice as a quantiser."""
     from hexmap.experiments.quantiser import quantiser_experiment
 
-    _check_folder(output)
+    check_folder(output)
     first_run_note()
-    _write(quantiser_experiment(count=count, seed=seed, command=_command()), output)
+    write_report(quantiser_experiment(count=count, seed=seed, command=command_line()), output)
 
 
 def _basis(text: str) -> list[list[float]]:
@@ -117,12 +117,13 @@ def _basis(text: str) -> list[list[float]]:
     return [list(column) for column in zip(*rows, strict=True)]
 
 
-def _command() -> str:
+def command_line() -> str:
     """Return the command line without the folders of this machine."""
     return " ".join(["hexmap", *(shlex.quote(Path(a).name if "/" in a else a) for a in sys.argv[1:])])
 
 
-def _check_folder(output: Path) -> None:
+def check_folder(output: Path) -> None:
+    """Check before the work begins that a report can be written there."""
     from hexmap.errors import FileAccessError
 
     if output.exists() and not output.is_dir():
@@ -132,7 +133,8 @@ def _check_folder(output: Path) -> None:
         raise FileAccessError(f"{output}: cannot be made: {parent} is not a folder")
 
 
-def _make(output: Path) -> Path:
+def make_folder(output: Path) -> Path:
+    """Make the folder of a report."""
     from hexmap.errors import FileAccessError
 
     try:
@@ -142,9 +144,10 @@ def _make(output: Path) -> Path:
     return output
 
 
-def _write(report: object, output: Path) -> None:
+def write_report(report: object, output: Path) -> None:
+    """Write a report and say where its files are."""
     from hexmap.experiments.report import Report
 
     assert isinstance(report, Report)
-    for path in report.write(_make(output)):
+    for path in report.write(make_folder(output)):
         say(f"wrote {path}")

@@ -43,7 +43,7 @@ def info(
     say(f"{map}: a map on the {lattice.title} lattice ({lattice.name}), frame {world.frame!r}")
     say("level  resolution    hit cells       hits  passed cells      occupied          free")
     for k, level in enumerate(world.levels):
-        states = world.state(_rule(None, None, world.sources()), level=k)
+        states = world.state(rule_of(None, None, world.sources()), level=k)
         say(
             f"{k:5d}  {level.lattice.resolution:8.4g} m {len(level.hits):12,d} {level.hits.total:10,d} "
             f"{len(level.passes):13,d} {len(states.occupied):13,d} {len(states.free):13,d}"
@@ -126,7 +126,7 @@ def show(
         from hexmap.files import load_map
 
         world = load_map(source)
-        cells = world.state(_rule(min_hits, min_ratio, world.sources()), level=level).occupied
+        cells = world.state(rule_of(min_hits, min_ratio, world.sources()), level=level).occupied
     else:
         if size is None:
             raise ArgumentError(f"{source}: say how large the cells of points are: --volume or --resolution")
@@ -147,7 +147,7 @@ def _show_map(
     check_picture(output)
     world = load_map(map)
     way = read_tum(trajectory) if trajectory is not None else None
-    draw_map(world, output, level=level, trajectory=way, rule=_rule(min_hits, min_ratio, world.sources()))
+    draw_map(world, output, level=level, trajectory=way, rule=rule_of(min_hits, min_ratio, world.sources()))
     wrote(output, f"level {level}, {world.level(level).lattice.resolution:g} m")
 
 
@@ -197,11 +197,11 @@ def export(
     image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
     check_outputs({"--output": output, "the image of --output": image}, (map,))
     world = load_map(map)
-    for path in export_map(world, output, level=level, rule=_rule(min_hits, min_ratio, world.sources())):
+    for path in export_map(world, output, level=level, rule=rule_of(min_hits, min_ratio, world.sources())):
         wrote(path, f"level {level}, {world.level(level).lattice.resolution:g} m")
 
 
-def _rule(min_hits: int | None, min_ratio: float | None, sources: list[dict[str, object]]) -> StateRule:
+def rule_of(min_hits: int | None, min_ratio: float | None, sources: list[dict[str, object]]) -> StateRule:
     """Return the rule the map was made with where all its sources agree, with what is set here instead."""
     from dataclasses import replace
 

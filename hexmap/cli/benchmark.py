@@ -1,0 +1,110 @@
+"""``hexmap benchmark``: comparisons that can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+
+from hexmap.cli import clouds
+from hexmap.cli.console import first_run_note, progress_line
+from hexmap.cli.experiments import check_folder, command_line, make_folder, write_report
+
+Number = TypeVar("Number", int, float)
+
+app = typer.Typer(
+    help="Compare planners on lattices, on maps with published optima.",
+    no_args_is_help=True, rich_markup_mode=None, add_completion=False,
+)  # fmt: skip
+
+
+@app.callback()
+def _group() -> None:
+    """Keep ``planning`` a command of its own."""
+
+
+@app.command()
+def planning(
+    maps: Annotated[
+        list[Path],
+        typer.Argument(help="MovingAI .map, Warframe .3dmap(.gz), ROS .yaml, OctoMap .bt; problems beside them."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
+    queries: Annotated[int, typer.Option(help="Problems a map, drawn from its file.")] = 200,
+    angles: Annotated[str, typer.Option(help="Degrees by which the maps are turned, such as 0,17,31.")] = "0,17,31",
+    random_angles: Annotated[int, typer.Option(help="So many random angles instead.")] = 0,
+    fractions: Annotated[str, typer.Option(help="Cells of the grids: 2 for half a source cell, and so on.")] = "2,4",
+    planners: Annotated[str, typer.Option(help="On every grid: astar, dijkstra, canonical.")] = "astar,canonical",
+    max_cells: Annotated[int, typer.Option(help="Largest window; larger ones are left out.")] = 300_000_000,
+    workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
+    seed: clouds.Seed = 0,
+) -> None:
+    """Square against hexagonal grids, cubic against FCC and BCC: length, turning, clearance, effort, time."""
+    from hexmap.errors import ArgumentError
+    from planners.benchmark import BenchmarkSettings, planning_benchmark
+
+    check_folder(output)
+    known = ("astar", "dijkstra", "canonical")
+    chosen = tuple(name.strip() for name in planners.split(",") if name.strip())
+    for name in chosen:
+        if name not in known:
+            raise ArgumentError(f"--planners takes {', '.join(known)}, not {name!r}")
+    if "astar" not in chosen:
+        raise ArgumentError("--planners needs astar: what others are compared with")
+    settings = BenchmarkSettings(
+        queries=queries,
+        angles=_random_angles(random_angles, seed) if random_angles else _numbers(angles, "--angles", float),
+        fractions=_numbers(fractions, "--fractions", int),
+        max_cells=max_cells, seed=seed, planners=chosen,
+    )  # fmt: skip
+    first_run_note()
+    part = [0.0]
+    with progress_line("planning", lambda: part[0], "cases") as update:
+
+        def progress(done: int, total: int) -> None:
+            part[0] = done / total
+            update(done)
+
+        outcome = planning_benchmark(
+            [_found(path) for path in maps], settings, command=command_line(), folder=make_folder(output),
+            workers=workers, progress=progress,
+        )  # fmt: skip
+    write_report(outcome.report, output)
+    if outcome.failures:
+        raise ArgumentError("; ".join(outcome.failures))
+
+
+def _found(path: Path) -> Path:
+    """Return a map's path, or its packed form where only that is there."""
+    packed = path.with_name(path.name + ".gz")
+    return packed if not path.exists() and packed.exists() else path
+
+
+def _numbers(text: str, option: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
+    """Return the numbers of an option.
+
+    Raises:
+        ArgumentError: one of them is none.
+    """
+    from hexmap.errors import ArgumentError
+
+    out = []
+    for word in text.split(","):
+        try:
+            out.append(kind(word))
+        except ValueError:
+            raise ArgumentError(f"{option} takes numbers with commas between, not {text!r}") from None
+    return tuple(out)
+
+
+def _random_angles(count: int, seed: int) -> tuple[float, ...]:
+    """Return seeded random angles, degrees."""
+    import numpy as np
+
+    from hexmap.errors import ArgumentError
+
+    if not 1 <= count <= 1000:
+        raise ArgumentError(f"--random-angles takes 1 to 1000, not {count}")
+    return tuple(float(a) for a in np.round(np.random.default_rng([seed, 11]).uniform(0.0, 360.0, count), 3))

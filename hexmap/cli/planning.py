@@ -1,0 +1,516 @@
+"""The command that looks for a path."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from hexmap.cli import clouds
+from hexmap.cli.console import check_outputs, first_run_note, say, wrote
+from hexmap.cli.viewing import MinHits, MinRatio, rule_of
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hexmap.graph import LatticeGraph
+    from hexmap.lattice import Lattice
+    from planners import NoPath
+    from planners import Path as Way
+
+Place = tuple[float, ...]
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_SEARCH_BYTES = 12  # a cell of the window while a search runs: state, cost, parent and some of the queue
+
+
+class Planner(StrEnum):
+    """What looks for the path."""
+
+    astar = "astar"
+    dijkstra = "dijkstra"
+    any_angle = "any-angle"
+    canonical = "canonical"
+
+
+class Unknown(StrEnum):
+    """What cells are that nobody has seen."""
+
+    blocked = "blocked"
+    free = "free"
+
+
+class PlanCommand(TyperCommand):
+    """A command whose --from and --to take all numbers that follow, negative ones too."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Join the numbers after --from and --to by commas before the parser takes -8 for an option."""
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            word = rest.pop(0)
+            if word == "--":
+                joined += [word, *rest]
+                break
+            if word in ("--from", "--to"):
+                numbers = []
+                while rest and all(_NUMBER.fullmatch(part) for part in rest[0].rstrip(",").split(",")):
+                    numbers.append(rest.pop(0).rstrip(","))
+                if numbers:
+                    word = f"{word}={','.join(numbers)}"
+            joined.append(word)
+        return super().parse_args(ctx, joined)
+
+
+def _place(text: str) -> Place:
+    """Return the numbers of a place."""
+    try:
+        numbers = tuple(float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise typer.BadParameter(f"a place takes two or three finite numbers of metres, not {text!r}")
+    return numbers
+
+
+def _neighbourhood(text: str) -> str | int:
+    """Return a neighbourhood's name or size."""
+    if text in ("nearest", "faces", "extended"):
+        return text
+    if not text.isdecimal():
+        raise typer.BadParameter(f"a neighbourhood is nearest, faces, extended or a number of moves, not {text!r}")
+    return int(text)
+
+
+_PLACE: dict[str, Any] = {"parser": _place, "metavar": "X Y [Z]"}
+
+
+def plan(
+    world: Annotated[
+        Path,
+        typer.Argument(help="A map of hexmap, a ROS map (.yaml), MovingAI .map, Warframe .3dmap, OctoMap .bt."),
+    ],
+    start: Annotated[Any, typer.Option("--from", help="Where to start, m.", **_PLACE)],
+    goal: Annotated[Any, typer.Option("--to", help="Where to go, m.", **_PLACE)],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the path (.csv).")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw it (.png, .svg, .pdf).")] = None,
+    whole: Annotated[bool, typer.Option("--whole", help="Draw the whole map, not the path's part of it.")] = False,
+    radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.0,
+    clearance_weight: Annotated[
+        float | None, typer.Option(help="How much more a cell right at an obstacle costs.", show_default="0")
+    ] = None,
+    clearance_reach: Annotated[
+        float | None, typer.Option(help="Within what distance it does, m.", show_default="0.5")
+    ] = None,
+    unknown: Annotated[Unknown, typer.Option(help="What unknown cells are.")] = Unknown.blocked,
+    planner: Annotated[Planner, typer.Option(help="What looks for the path.")] = Planner.astar,
+    weight: Annotated[float | None, typer.Option(help="Of A*'s heuristic: faster above 1.", show_default="1")] = None,
+    bidirectional: Annotated[bool, typer.Option("--bidirectional", help="A* from both ends.")] = False,
+    shortcut: Annotated[bool, typer.Option("--shortcut", help="Straighten the path by line of sight.")] = False,
+    nearest: Annotated[bool, typer.Option("--nearest", help="Stop next to a goal that cannot be reached.")] = False,
+    neighbourhood: Annotated[
+        Any,
+        typer.Option(
+            parser=_neighbourhood,
+            metavar="MOVES",
+            help="nearest, faces, extended or a number.",
+            show_default="the lattice's own",
+        ),
+    ] = None,
+    lattice: Annotated[
+        str | None, typer.Option(help="Lattice of foreign maps: Z2, A2, Z3, D3, D3*.", show_default="A2 or D3")
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            help="Its resolution, m. At the size of the source's own cells paths leak through thin walls.",
+            show_default="half a cell",
+        ),
+    ] = None,
+    cell: Annotated[float | None, typer.Option(help="Size of a game map's cells, m.", show_default="1")] = None,
+    level: Annotated[int | None, typer.Option(help="Level of a map of hexmap.", show_default="0")] = None,
+    min_hits: MinHits = None,
+    min_ratio: MinRatio = None,
+) -> None:
+    """Look for the cheapest path between two places of a map.
+
+    The path leads from cell centre to cell centre, from the cell of --from to that of --to.
+    """
+    from hexmap.errors import ArgumentError
+
+    _check_usage(planner, weight, bidirectional, nearest, shortcut, clearance_weight, clearance_reach)
+    inputs = [world]
+    if world.suffix.lower() in (".yaml", ".yml"):  # its image is read too
+        inputs += [world.with_suffix(suffix) for suffix in (".pgm", ".png") if world.with_suffix(suffix).exists()][:1]
+    check_outputs({"--output": output, "--picture": picture}, tuple(inputs))
+    if output is not None and output.suffix.lower() != ".csv":
+        raise ArgumentError(f"{output}: a path is written as .csv, not {output.suffix or 'a file without a suffix'}")
+    if picture is not None:
+        from hexmap.drawing import check_picture
+
+        check_picture(picture)
+    if whole and picture is None:
+        raise typer.BadParameter("--whole is about the --picture")
+    own = clouds.is_parquet(world)
+    for wrong, options in (
+        (own, {"--lattice": lattice, "--resolution": resolution, "--cell": cell}),
+        (not own, {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio}),
+    ):
+        given = [name for name, value in options.items() if value is not None]
+        if wrong and given:
+            what = "a map of hexmap has its lattice and cells" if own else "only maps of hexmap have that"
+            raise ArgumentError(f"{world}: {what}; leave out {' and '.join(given)}")
+    first_run_note()
+    begin = time.perf_counter()
+    if own:
+        ground = _own_ground(
+            world,
+            start,
+            goal,
+            level or 0,
+            lambda sources: rule_of(min_hits, min_ratio, sources),
+            unknown,
+            neighbourhood,
+        )
+    else:
+        ground = _foreign_ground(world, start, goal, lattice, resolution, cell, unknown, neighbourhood)
+    graph = ground.graph
+    if radius != 0.0:
+        graph = graph.with_clearance(radius)
+    if clearance_weight is not None:
+        graph = graph.with_soft_clearance(0.5 if clearance_reach is None else clearance_reach, clearance_weight)
+    seconds = time.perf_counter() - begin
+    way = _search(ground, graph, start, goal, planner, weight, bidirectional, nearest, radius, unknown)
+    if shortcut:
+        from planners import shortcut as straighten
+
+        way = straighten(graph, way)
+    inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
+    say(
+        f"{world}: {graph.lattice.title} lattice at {graph.lattice.resolution:g} m, {len(graph.moves)} moves, "
+        f"window of {inner} cells, {int(graph.free.sum(dtype='int64')):,} free, built in {seconds:.1f} s"
+    )
+    _report(way, ground, planner, start, goal)
+    if output is not None:
+        from planners.path_files import write_path
+
+        write_path(output, way)
+        wrote(output, f"{len(way)} points, metres")
+    if picture is not None:
+        from hexmap.path_drawing import draw_path
+
+        ends = f"from {_metres(start)} to {_metres(goal)}".replace("-", "\N{MINUS SIGN}")
+        name = world.name if len(world.name) <= 40 else world.name[:39] + "\N{HORIZONTAL ELLIPSIS}"
+        draw_path(
+            way.points, picture, graph, ground.state_at, goal=None if way.goal_reached else goal,
+            extent=(ground.low, ground.high), whole=whole,
+            y_down=ground.y_down, title=f"{name}: {way.length:.2f} m {ends}",
+            words=f"robot of radius {radius:g} m" if radius else "",
+        )  # fmt: skip
+        wrote(picture, "the whole map" if whole else "the path and what surrounds it")
+
+
+def _check_usage(
+    planner: Planner,
+    weight: float | None,
+    bidirectional: bool,
+    nearest: bool,
+    shortcut: bool,
+    clearance_weight: float | None,
+    clearance_reach: float | None,
+) -> None:
+    """Turn down options that do not go together."""
+    asked = {"--weight": weight is not None, "--bidirectional": bidirectional, "--nearest": nearest}
+    named = [name for name, given in asked.items() if given]
+    if named and planner is not Planner.astar:
+        raise typer.BadParameter(f"{' and '.join(named)}: only with --planner astar, not with {planner.value}")
+    if clearance_weight is not None and planner not in (Planner.astar, Planner.dijkstra):
+        raise typer.BadParameter(f"--clearance-weight: only with --planner astar or dijkstra, not with {planner.value}")
+    if bidirectional and weight is not None:
+        raise typer.BadParameter("--bidirectional takes no --weight")
+    if shortcut and planner is Planner.any_angle:
+        raise typer.BadParameter("--shortcut: a path of any angle is as straight as it can be")
+    if clearance_reach is not None and clearance_weight is None:
+        raise typer.BadParameter("--clearance-reach needs a --clearance-weight")
+
+
+# ---------------------------------------------------------------------- what is searched
+
+
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """A map ready for planning.
+
+    Attributes:
+        path: the file.
+        graph: its cells, before any radius.
+        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (of hexmap.maps).
+        low, high: corners of what is known, metres.
+        has_unknown: whether any cell is unknown.
+        y_down: whether low y is at the top.
+    """
+
+    path: Path
+    graph: LatticeGraph
+    state_at: Callable[[NDArray[np.float64]], NDArray[np.uint8]]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    has_unknown: bool = True
+    y_down: bool = False
+
+
+def _own_ground(
+    path: Path,
+    start: Place,
+    goal: Place,
+    level: int,
+    rule_for: Callable[[Any], Any],
+    unknown: Unknown,
+    neighbourhood: Any,
+) -> _Ground:
+    """Return a level of a map of hexmap."""
+    import numpy as np
+
+    from hexmap.files import load_map
+    from hexmap.graph import LatticeGraph
+
+    world = load_map(path)
+    _check_places(path, start, goal, world.lattice.dim)
+    rule = rule_for(world.sources())
+    graph = LatticeGraph.from_map(world, level=level, rule=rule, unknown=unknown.value, neighbourhood=neighbourhood)
+    states = world.state(rule, level)
+    centres = np.concatenate([states.occupied.centres(), states.free.centres()])
+
+    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        return states.of(graph.lattice.quantise(points))
+
+    room = graph.lattice.covering_radius
+    return _Ground(path, graph, state_at, centres.min(axis=0) - room, centres.max(axis=0) + room)
+
+
+def _foreign_ground(
+    path: Path,
+    start: Place,
+    goal: Place,
+    lattice: str | None,
+    resolution: float | None,
+    cell: float | None,
+    unknown: Unknown,
+    neighbourhood: Any,
+) -> _Ground:
+    """Return a map of others, rasterised onto a lattice."""
+    import numpy as np
+
+    from hexmap import worlds
+    from hexmap.errors import ArgumentError
+    from hexmap.lattice import Lattice, default_name
+    from hexmap.maps import FREE, OCCUPIED, UNKNOWN
+
+    world = worlds.open_world(path, cell=cell)
+    _check_places(path, start, goal, world.dim)
+    if resolution is not None and not 0.0 < resolution < math.inf:
+        raise ArgumentError(f"--resolution must be a positive number of metres, not {resolution:g}")
+    on = Lattice.named(lattice or default_name(world.dim), resolution or 0.5 * world.cell)
+    if on.dim != world.dim:
+        raise ArgumentError(f"{path}: the map is of dimension {world.dim}, the lattice {on.name} of {on.dim}")
+    low, high = np.asarray(world.low), np.asarray(world.high)
+    _check_size(path, on, low, high)
+    graph = world.to_graph(on, unknown=unknown.value, neighbourhood=neighbourhood)
+    codes = np.zeros(3, np.uint8)
+    codes[[worlds.BLOCKED, worlds.FREE, worlds.UNKNOWN]] = OCCUPIED, FREE, UNKNOWN
+
+    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        return codes[world.state_at(points)]
+
+    return _Ground(path, graph, state_at, low, high, world.has_unknown, world.y_down)
+
+
+def _check_places(path: Path, start: Place, goal: Place, dim: int) -> None:
+    """Turn down places of another dimension than the map's.
+
+    Raises:
+        ArgumentError: one is.
+    """
+    from hexmap.errors import ArgumentError
+
+    for option, place in (("--from", start), ("--to", goal)):
+        if len(place) != dim:
+            raise ArgumentError(
+                f"{path}: the map is of dimension {dim}; {option} takes {dim} numbers, not {len(place)}"
+            )
+
+
+def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+    """Turn down a window that the machine has no memory for, before anything is allocated.
+
+    Raises:
+        TooLargeError: there is not enough.
+    """
+    import numpy as np
+
+    from hexmap.errors import TooLargeError
+
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, lattice.dim)
+    cells = float(np.prod(np.ptp(corners @ np.linalg.inv(lattice.basis).T, axis=0) + 3.0))
+    memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else math.inf
+    most = min(0.9 * memory / _SEARCH_BYTES, 2.0**31)
+    if cells > most:
+        enough = lattice.resolution * (cells / most) ** (1.0 / lattice.dim) * 1.05
+        raise TooLargeError(
+            f"{path}: {cells:,.0f} cells of {lattice.resolution:g} m are too many to search "
+            f"({cells * _SEARCH_BYTES / 2**30:.1f} GiB); take a coarser --resolution, {enough:.2g} m or more"
+        )
+
+
+# ---------------------------------------------------------------------- the search
+
+
+def _search(
+    ground: _Ground,
+    graph: LatticeGraph,
+    start: Place,
+    goal: Place,
+    planner: Planner,
+    weight: float | None,
+    bidirectional: bool,
+    nearest: bool,
+    radius: float,
+    unknown: Unknown,
+) -> Way:
+    """Return the path and its least distance to an obstacle.
+
+    Raises:
+        NoPath: there is none; the text says why, in metres, and what may help.
+    """
+    from planners import NoPath, to_cell
+
+    cells = [to_cell(graph, place).tolist() for place in (start, goal)]
+    run = _planner(planner, weight, bidirectional, nearest)
+    try:
+        _warm_up(run, graph)
+        return run(graph, *cells)
+    except NoPath as error:
+        text, helps = _why(error, ground, start, goal, cells, radius, unknown)
+        if nearest or planner is not Planner.astar or error.reason.startswith("start"):
+            helps.remove("--nearest")
+        advice = f"; {' or '.join(helps)} may help" if helps else ""
+        raise NoPath(error.reason, text + advice) from error
+
+
+def _planner(
+    planner: Planner, weight: float | None, bidirectional: bool, nearest: bool
+) -> Callable[[LatticeGraph, Any, Any], Way]:
+    """Return what answers a query of two cells."""
+    import planners
+
+    if planner is Planner.dijkstra:
+        return lambda graph, start, goal: planners.dijkstra(graph, start, goals=goal).path_to(goal)
+    if planner is Planner.astar:
+        factor = 1.0 if weight is None else weight
+        return lambda graph, start, goal: planners.astar(
+            graph, start, goal, bidirectional=bidirectional, weight=factor, nearest=nearest
+        )
+    found: Callable[[LatticeGraph, Any, Any], Way]
+    found = planners.any_angle if planner is Planner.any_angle else planners.canonical
+    return found
+
+
+def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) -> None:
+    """Load or compile the kernels on a handful of cells, so that the search's time is its own."""
+    import numpy as np
+
+    from hexmap.graph import LatticeGraph
+
+    some = np.ones(tuple((2 * graph.pad + 1).tolist()), np.uint8)
+    small = LatticeGraph.from_states(graph.lattice, -graph.pad, some, neighbourhood=len(graph.moves))
+    if graph.terrain is not None:
+        small = small.with_terrain(np.ones(small.size))
+    run(small, [0] * graph.lattice.dim, graph.moves[0].tolist())
+
+
+def _why(
+    error: NoPath,
+    ground: _Ground,
+    start: Place,
+    goal: Place,
+    cells: list[list[int]],
+    radius: float,
+    unknown: Unknown,
+) -> tuple[str, list[str]]:
+    """Return why there is no path, with places in metres, and which options may help."""
+    import numpy as np
+
+    from hexmap.maps import UNKNOWN
+
+    smaller = ["a smaller --radius"] if radius > 0.0 else []
+    open_up = ["--unknown free"] if ground.has_unknown and unknown is Unknown.blocked else []
+    at = 0 if error.reason.startswith("start") else 1
+    where = f"{_metres((start, goal)[at])} m, cell {_cell(cells[at])},"
+    if "outside" in error.reason:
+        extent = ", ".join(
+            f"{axis} from {low:.2f} to {high:.2f} m"
+            for axis, low, high in zip("xyz", ground.low, ground.high, strict=False)
+        )
+        return f"{where} and the map has {extent}", ["--nearest"]
+    if "blocked" in error.reason:
+        cell = np.array([cells[at]])
+        flat = ground.graph.index_to_flat(cell)
+        if ground.graph.free[flat[0]]:
+            room = float(ground.graph.clearance_at(flat)[0])
+            text = f"{where} is {room:.2f} m from an obstacle, nearer than the radius of {radius:g} m"
+            return text, ["--nearest", *smaller]
+        if ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
+            return f"{where} is unknown", ["--nearest", *open_up]
+        return f"{where} is occupied", ["--nearest"]
+    text = (
+        f"nothing leads from {_metres(start)} m, cell {_cell(cells[0])}, to {_metres(goal)} m, cell {_cell(cells[1])}"
+    )
+    return text, ["--nearest", *smaller, *open_up]
+
+
+def _report(way: Way, ground: _Ground, planner: Planner, start: Place, goal: Place) -> None:
+    """Say what was found and what that took."""
+    clearance = _least_clearance(ground.graph, way)
+    room = "no obstacle anywhere" if math.isinf(clearance) else f"least clearance {clearance:.2f} m"
+    say(
+        f"{planner.value} from {_metres(start)} to {_metres(goal)}: length {way.length:.3f} m, cost {way.cost:.3f}, "
+        f"turning {math.degrees(way.turning):.0f} deg, {room}, {len(way)} cells"
+    )
+    if not way.goal_reached:
+        say(
+            f"the goal was not reached: the path stops at {_metres(way.points[-1].tolist())}, "
+            f"{math.dist(way.points[-1], goal):.2f} m away from it"
+        )
+    bound = f", at most {way.bound:.4g} times the least cost" if 1.0 < way.bound < math.inf else ""
+    say(f"{way.expansions:,} expansions, {way.pushes:,} pushes, {1000.0 * way.seconds:.1f} ms{bound}")
+
+
+def _least_clearance(graph: LatticeGraph, way: Way) -> float:
+    """Return the least distance (m) to an obstacle of all cells that the path meets, those between its corners too."""
+    import numpy as np
+
+    from hexmap.rays import traverse
+
+    cells = way.cells
+    if len(way) > 1:
+        cells = np.concatenate([cells, traverse(graph.lattice, way.points[:-1], way.points[1:]).index])
+    flat = graph.index_to_flat(np.unique(cells, axis=0))
+    return float(np.min(graph.clearance_at(flat[flat >= 0])))
+
+
+def _metres(place: Any) -> str:
+    return f"({', '.join(f'{round(float(v), 3):g}' for v in place)})"
+
+
+def _cell(cell: Any) -> str:
+    return f"({', '.join(str(int(v)) for v in cell)})"

@@ -1,0 +1,76 @@
+"""Every published problem of the maps given, on the source cells: equal to the published length or listed.
+
+    python -m tests.benchmarks.published [--folder build/published] [--workers 2] [map ...]
+
+Without maps: all MovingAI and Warframe maps of the shared data. Finished problems are kept in the folder,
+and a run that was interrupted goes on from there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hexmap.experiments.runner import run_cases
+from planners._benchmark_cases import ruler_case
+from planners.benchmark import BenchmarkSettings, open_course, publishers_roots
+from tests.benchmarks._timing import table, versions
+
+_CHUNK = 100
+
+
+def published(path: Path, folder: Path, workers: int) -> tuple[list[object], list[tuple[int, str, float]]]:
+    """Return a row of the table, and the problems that differ: number, published, ours."""
+    course = open_course(path, BenchmarkSettings(queries=10**9))
+    world, count = course.world, len(course.texts)
+    shared = {
+        "states": world.states, "cell": 1.0, "origin": np.full(world.dim, -0.5), "yaw": 0.0,
+        "starts": course.starts, "goals": course.goals,
+    }  # fmt: skip
+    cases = [{"first": a, "last": min(a + _CHUNK, count)} for a in range(0, count, _CHUNK)]
+    begin = time.monotonic()
+
+    def progress(done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            left = (time.monotonic() - begin) / max(done, 1) * (total - done)
+            print(f"\r{path.name}: {done} of {total} parts, {left:.0f} s left ", end="", file=sys.stderr)
+
+    found = run_cases(ruler_case, cases, shared=shared, folder=folder, workers=workers, progress=progress)
+    seconds = time.monotonic() - begin
+    costs = [math.nan if c is None else c for part in found for c in part["cost"]]
+    roots, equal = publishers_roots([s for part in found for s in part["steps"]], course.texts, course.style)
+    off = [(int(course.problem[k]), course.texts[k], costs[k]) for k in np.flatnonzero(~equal)]
+    return [path.name, count, count - len(off), len(off), roots, seconds], off
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("maps", nargs="*", type=Path)
+    parser.add_argument("--folder", type=Path, default=Path("build/published"))
+    parser.add_argument("--workers", type=int, default=2)
+    arguments = parser.parse_args()
+    maps = arguments.maps
+    if not maps:
+        named = os.environ.get("HEXMAP_DATA")
+        data = Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
+        maps = sorted(data.glob("planning/movingai/*.map")) + sorted(data.glob("planning/warframe/*.3dmap.gz"))
+    print(versions("hexmap", "numpy", "numba"), "\n")
+    rows: list[list[object]] = [["map", "problems", "equal to the digits", "differ", "published with", "seconds"]]
+    listed = []
+    for path in maps:
+        row, off = published(path, arguments.folder, arguments.workers)
+        rows.append(row)
+        listed += [(path.name, *one) for one in off]
+    table(rows)
+    for name, number, text, ours in listed:
+        print(f"{name} problem {number}: published {text}, ours {ours:.9f}")
+
+
+if __name__ == "__main__":
+    main()

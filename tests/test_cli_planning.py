@@ -1,0 +1,272 @@
+"""The command ``hexmap plan`` as a user meets it, and the files it writes."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hexmap.cli import main
+from hexmap.errors import FileAccessError, FormatError
+from hexmap.files import save_map
+from hexmap.graph import LatticeGraph
+from hexmap.lattice import Lattice
+from hexmap.maps import Level, Map
+from hexmap.voxels import VoxelList
+from planners import astar
+from planners.path_files import read_path, write_path
+from tests.lattices import CASES, Case
+from tests.test_cli import failure
+
+
+def call(*arguments: object) -> int:
+    return main([str(a) for a in arguments])
+
+
+def wrong_usage(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    capsys.readouterr()
+    assert call(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and err.startswith("hexmap: ") and "plan --help" in err
+    return err
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rooms of 4 x 4 m about the origin with a door between them, as every kind of file."""
+    here = tmp_path_factory.mktemp("plan")
+    lattice = Lattice.named("A2", 0.1)
+    xs, ys = np.meshgrid(np.arange(-41, 42) * 0.05, np.arange(-21, 22) * 0.05)
+    points = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    x, y = points.T
+    wall = (np.abs(x) > 1.97) | (np.abs(y) > 0.97) | ((np.abs(x) < 0.06) & (y < 0.4))
+    hits, passes = VoxelList.from_points(points[wall], lattice), VoxelList.from_points(points[~wall], lattice)
+    # A cell seen by both is a wall.
+    passes = passes.select(~hits.contains(passes.index))
+    save_map(here / "rooms.parquet", Map([Level(hits, passes)]))
+    rows = ["@" * 12, *["@....@.....@"] * 3, *["@..........@"] * 2, "@" * 12]
+    (here / "rooms.map").write_text(f"type octile\nheight {len(rows)}\nwidth 12\nmap\n" + "\n".join(rows) + "\n")
+    states = np.full((20, 40), 254, np.uint8)
+    states[:, 20] = 0
+    states[:4, 20] = 254
+    states[12:, 30:] = 205
+    (here / "rooms.pgm").write_bytes(b"P5\n40 20\n255\n" + states.tobytes())
+    (here / "rooms.yaml").write_text(
+        "image: rooms.pgm\nresolution: 0.1\norigin: [-2.0, -1.0, 0.0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    walls = "".join(f"4 {y} {z}\n" for y in range(8) for z in range(6) if z < 4)
+    (here / "rooms.3dmap.gz").write_bytes(gzip.compress(f"voxel 9 8 6\n{walls}".encode()))
+    return here
+
+
+def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csv, png = tmp_path / "path.csv", tmp_path / "path.png"
+    arguments = ("plan", folder / "rooms.parquet", "--from", "-1.5", "-.5", "--to", 1.5, "-0.5", "--radius", 0.15)
+    assert call(*arguments, "-o", csv, "--picture", png) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].startswith(f"{folder / 'rooms.parquet'}: hexagonal lattice at 0.1 m, 6 moves, window of ")
+    assert out[1].startswith("astar from (-1.5, -0.5) to (1.5, -0.5): length ") and "least clearance 0.1" in out[1]
+    assert "expansions" in out[2] and out[3].startswith(f"wrote {csv}") and out[4].startswith(f"wrote {png}")
+    table = read_path(csv)
+    lattice = Lattice.named("A2", 0.1)
+    assert np.array_equal(lattice.quantise(np.array([[-1.5, -0.5], [1.5, -0.5]])), table.cells[[0, -1]])
+    assert np.array_equal(lattice.centres(table.cells), table.points)
+    assert table.length[0] == 0.0 and f"length {table.length[-1]:.3f} m" in out[1]
+    assert table.points[:, 1].max() > 0.4  # through the door
+    assert png.stat().st_size > 10_000
+    # The same again in other spellings, and by the other planners.
+    length = table.length[-1]
+    first = csv.read_bytes()
+    for spelling in (("--to=1.5,-0.5", "--from=-1.5,-0.5"), ("--from", "-1.5,-5e-1", "--to", "+1.5,", "-0.5")):
+        assert call("plan", *spelling, folder / "rooms.parquet", "--radius", 0.15, "-o", csv) == 0
+        assert csv.read_bytes() == first
+    for more in (["--planner", "dijkstra"], ["--planner", "canonical"], ["--bidirectional"], ["--weight", 1.0]):
+        assert call(*arguments, "-o", csv, *more) == 0
+        assert read_path(csv).length[-1] == pytest.approx(length, rel=1e-9)
+    for more in (["--planner", "any-angle"], ["--shortcut"], ["--neighbourhood", "extended"], ["--neighbourhood", 12]):
+        assert call(*arguments, "-o", csv, *more) == 0
+        assert read_path(csv).length[-1] < length
+    assert call(*arguments, "-o", csv, "--clearance-weight", 3, "--clearance-reach", 0.4) == 0
+    assert read_path(csv).length[-1] >= length - 1e-9
+
+
+def test_maps_of_others(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csv = tmp_path / "path.csv"
+    assert call("plan", folder / "rooms.yaml", "--from", -1.5, -0.5, "--to", 1.5, 0.5, "-o", csv) == 0
+    assert "hexagonal lattice at 0.05 m" in capsys.readouterr().out
+    assert read_path(csv).points[:, 1].max() > 0.5
+    game = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
+    assert call(*game, "--lattice", "Z2", "--resolution", 1, "--neighbourhood", "extended", "-o", csv) == 0
+    assert read_path(csv).length[-1] == pytest.approx(4 * math.sqrt(2) + 4)  # no corner is cut
+    assert (
+        call(*game[:3], 1, 0.5, "--to", 4, 0.5, "--cell", 0.5, "-o", csv, "--picture", tmp_path / "p.svg", "--whole")
+        == 0
+    )
+    assert "at 0.25 m" in capsys.readouterr().out
+    for lattice in ("Z3", "D3", "D3*"):
+        arguments = ("plan", folder / "rooms.3dmap.gz", "--from", 1, 3, 1, "--to", 7, 3, 1, "--lattice", lattice)
+        assert call(*arguments, "-o", csv, "--picture", tmp_path / "space.png") == 0
+        assert csv.read_text().startswith("x,y,z,a,b,c,length\n")
+        assert read_path(csv).points[:, 2].max() > 3.49
+    assert (tmp_path / "space.png").stat().st_size > 5_000
+
+
+def test_the_nearest_cell_to_a_goal_that_cannot_be_reached(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("plan", folder / "rooms.yaml", "--from", -1.5, -0.5, "--to", 1.7, -0.8)
+    assert "unknown; --nearest or --unknown free may help" in failure(capsys, *arguments)
+    assert call(*arguments, "--nearest", "--picture", tmp_path / "p.png") == 0
+    out = capsys.readouterr().out
+    assert "the goal was not reached: the path stops at (" in out and "m away from it" in out
+    assert call(*arguments, "--unknown", "free") == 0
+    assert "not reached" not in capsys.readouterr().out
+    assert call(*arguments[:5], "--to", 50, 60, "--nearest", "--picture", tmp_path / "p.png") == 0
+    assert "not reached" in capsys.readouterr().out
+
+
+def test_no_path_says_why_and_what_may_help(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = ("plan", folder / "rooms.parquet")
+    cases = [
+        (("--from", -1.5, 0, "--to", 0, -0.5), "goal blocked: (0, -0.5) m, cell (", "occupied; --nearest may"),
+        (("--from", 0, -0.5, "--to", 1, 0), "no path: start blocked: (0, -0.5) m, cell (", "is occupied\n"),
+        (("--from", -1, 0, "--to", 900, 1), "goal outside the map: (900, 1) m", "x from -"),
+        (("--from", -9, -9, "--to", 1, 0), "start outside the map: (-9, -9) m", "y from -"),
+        (("--from", -1.5, 0, "--to", -0.3, -0.5, "--radius", 0.5), "nearer than the radius of 0.5 m", "a smaller"),
+        (("--from", -1.5, 0, "--to", 1.4, 0, "--radius", 0.4), "not connected: nothing leads from (-1.5, 0) m", "or"),
+    ]  # fmt: skip
+    for arguments, *words in cases:
+        text = failure(capsys, *own, *arguments, "-o", tmp_path / "p.csv", "--picture", tmp_path / "p.png")
+        assert all(word in text for word in words), text
+        assert not list(tmp_path.iterdir())
+
+
+def test_bad_input_is_one_line_and_loses_nothing(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "path.csv"
+    out.write_bytes(b"an old path")
+    bad = tmp_path / "bad.map"
+    bad.write_text("type octile\nheight 3\nwidth 3\nmap\n...\n")
+    own, game, space = folder / "rooms.parquet", folder / "rooms.map", folder / "rooms.3dmap.gz"
+    way = ("--from", -1.5, 0, "--to", 1.5, 0)
+    cases = [
+        ((tmp_path / "no.map", *way), "no.map"),
+        ((tmp_path / "no.parquet", *way), "no.parquet"),
+        ((bad, *way), "bad.map"),
+        ((folder / "rooms.pgm", *way), "yaml"),
+        ((own, *way, "--lattice", "Z2"), "leave out --lattice"),
+        ((own, *way, "--resolution", 0.1, "--cell", 1), "leave out --resolution and --cell"),
+        ((game, *way, "--level", 1), "leave out --level"),
+        ((own, *way, "--level", 7), "7"),
+        ((game, *way, "--lattice", "D3"), "dimension 2"),
+        ((game, *way, "--lattice", "hexagone"), "hexagone"),
+        ((game, *way, "--resolution", -1), "-1"),
+        ((game, *way, "--cell", 0), "0"),
+        ((folder / "rooms.yaml", *way, "--cell", 1), "cell"),
+        ((space, *way), "dimension 3; --from takes 3 numbers, not 2"),
+        ((own, "--from", 0, 0, 0, "--to", 1, 1), "dimension 2; --from takes 2 numbers, not 3"),
+        ((space, "--from", 1, 1, 1, "--to", 2, 2, 2, "--resolution", 1e-5), "coarser --resolution"),
+        ((own, *way, "--radius", -1), "-1"),
+        ((own, *way, "--radius", "inf"), "inf"),
+        ((own, *way, "--weight", 0.5), "0.5"),
+        ((own, *way, "--clearance-weight", -2), "-2"),
+        ((own, *way, "--neighbourhood", 7), "7"),
+        ((own, *way, "-o", tmp_path / "p.txt"), ".txt"),
+        ((own, *way, "-o", tmp_path / "no" / "p.csv"), "folder"),
+        ((own, *way, "--picture", tmp_path / "p.bmp"), "bmp"),
+        ((own, *way, "--picture", out), "same file"),
+        ((own, *way, "--picture", own), "overwrite"),
+        ((folder / "rooms.yaml", *way, "--picture", folder / "rooms.pgm"), "overwrite"),
+    ]
+    for arguments, word in cases:
+        given = arguments if "-o" in arguments else (*arguments, "-o", out)
+        assert word in failure(capsys, "plan", *given), arguments
+        assert out.read_bytes() == b"an old path"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.map", "path.csv"]
+
+
+def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = folder / "rooms.parquet"
+    way = ("--from", -1.5, 0, "--to", 1.5, 0)
+    cases = [
+        ((own, "--from", 0, 0), "--to"),
+        ((own, "--from", 1, "--to", 1, 1), "two or three finite numbers of metres, not '1'"),
+        ((own, "--from", 1, 2, 3, 4, "--to", 1, 1), "'1,2,3,4'"),
+        ((own, "--from", "here", "--to", 1, 1), "'here'"),
+        ((own, "--from=nan,0", "--to", 1, 1), "'nan,0'"),
+        ((own, "--from", 0, "x", "--to", 1, 1), "x"),
+        ((own, *way, "--planner", "magic"), "magic"),
+        ((own, *way, "--unknown", "maybe"), "maybe"),
+        ((own, *way, "--neighbourhood", "all"), "'all'"),
+        ((own, *way, "--weight", 2, "--bidirectional"), "--bidirectional"),
+        ((own, *way, "--planner", "dijkstra", "--nearest"), "--nearest"),
+        ((own, *way, "--planner", "any-angle", "--shortcut"), "--shortcut"),
+        ((own, *way, "--planner", "canonical", "--clearance-weight", 1), "--clearance-weight"),
+        ((own, *way, "--clearance-reach", 1), "--clearance-weight"),
+        ((own, *way, "--whole"), "--picture"),
+        ((own, *way, "--radius", "wide"), "--radius"),
+        ((), "world"),
+    ]
+    for arguments, word in cases:
+        assert word in wrong_usage(capsys, "plan", *arguments), arguments
+
+
+# ---------------------------------------------------------------------- the file of a path
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_path_file_keeps_every_digit(case: Case, tmp_path: Path) -> None:
+    shape = (7,) * case.lattice.dim
+    graph = LatticeGraph.from_states(case.lattice, [-3] * case.lattice.dim, np.ones(shape, np.uint8))
+    path = astar(graph, [-3] * case.lattice.dim, [3] * case.lattice.dim)
+    write_path(tmp_path / "p.csv", path)
+    table = read_path(tmp_path / "p.csv")
+    assert np.array_equal(table.points, path.points) and np.array_equal(table.cells, path.cells)
+    assert table.length[-1] == pytest.approx(path.length, rel=1e-12)
+    assert len((tmp_path / "p.csv").read_text().splitlines()) == len(path) + 1
+
+
+def test_what_is_no_path_file(tmp_path: Path) -> None:
+    file = tmp_path / "p.csv"
+    with pytest.raises(FileAccessError, match=r"p\.csv"):
+        read_path(file)
+    head = "x,y,a,b,length\n"
+    for text, word in [
+        ("", "line 1"), ("x,y\n1,2\n", "line 1"), (head, "without a point"), (head + "1,2,3\n", "line 2"),
+        (head + "1,2,3,4,5\n1,2,3.5,4,5\n", "line 3"), (head + "nan,2,3,4,5\n", "line 2"),
+        (head + "1,2,3,4,5,6\n", "line 2"),
+        (head + "1,2,3,99999999999,5\n", "line 2"),
+    ]:  # fmt: skip
+        file.write_text(text)
+        with pytest.raises(FormatError, match=word):
+            read_path(file)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FormatError, match="not text"):
+        read_path(file)
+
+
+# ---------------------------------------------------------------------- real maps
+
+
+@pytest.mark.data
+def test_real_maps(data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    csv, png = tmp_path / "p.csv", tmp_path / "p.png"
+    ends = ("--from", 15.05, 16.95, "--to", 43, 24.45)
+    willow = ("plan", data_dir / "maps" / "willow-2010-02-18-0.10.yaml", *ends, "--lattice", "A2", "--resolution", 0.1)
+    assert call(*willow, "--radius", 0.3, "--shortcut", "-o", csv, "--picture", png) == 0
+    table = read_path(csv)
+    assert 29.0 < table.length[-1] < 36.0 and np.allclose(
+        table.points[[0, -1]], [[15.05, 16.95], [43, 24.45]], atol=0.08
+    )
+    arena = ("plan", data_dir / "planning" / "movingai" / "arena.map", "--from", 1, 7, "--to", 47, 44)
+    assert call(*arena, "--lattice", "Z2", "--resolution", 1, "--neighbourhood", "extended", "-o", csv) == 0
+    assert read_path(csv).length[-1] == pytest.approx(61.3259, abs=1e-4)  # of its scenario
+    simple = ("plan", data_dir / "planning" / "warframe" / "Simple.3dmap.gz", "--from", 46, 73, 46, "--to", 75, 57, 57)
+    assert call(*simple, "--resolution", 1, "-o", csv, "--picture", png) == 0
+    capsys.readouterr()
+    assert "coarser --resolution" in failure(capsys, *simple, "--resolution", 0.001)
