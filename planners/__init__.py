@@ -18,6 +18,7 @@ _HOMES = {
     "PathTable": "planners.path_files",
     "any_angle": "planners._anyangle",
     "astar": "planners._astar",
+    "canonical": "planners._canonical",
     "dijkstra": "planners._dijkstra",
     "line_of_sight": "planners._anyangle",
     "nearest_reachable": "planners._nearest",
@@ -37,6 +38,7 @@ __all__ = [
     "PathTable",
     "any_angle",
     "astar",
+    "canonical",
     "dijkstra",
     "line_of_sight",
     "nearest_reachable",
@@ -50,6 +52,7 @@ __all__ = [
 if TYPE_CHECKING:
     from planners._anyangle import any_angle, line_of_sight
     from planners._astar import astar, plan_many
+    from planners._canonical import canonical
     from planners._dijkstra import DistanceField, dijkstra
     from planners._nearest import nearest_reachable
     from planners.optimum import AnyAngleOptimum, OptimalPath

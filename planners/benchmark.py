@@ -392,25 +392,26 @@ def _plan(course: Course, settings: BenchmarkSettings) -> _Plan:
     count = len(course.starts)
     chunks = [(a, min(a + _CHUNK, count)) for a in range(0, count, _CHUNK)]
     reach = max(float(np.linalg.norm(g.make().centres(g.make().nearest[:1])[0])) for g in grids) / math.sqrt(2)
-    left_out = []
-    cases = []
+    left_out: list[str] = []
+    cases: list[dict[str, Any]] = []
     # On cells of the source's own size for the time only: at that size lattices leak.
-    wanted = [(1, 0.0)] + [(f, a) for f in settings.fractions for a in settings.angles]
-    for fraction, degrees in wanted:
-        turned = world.turned(math.radians(degrees)) if degrees else world
-        for k, grid in enumerate(grids):
-            lattice = grid.make().scaled(world.cell / fraction)
-            size = _window(turned, lattice)
-            if size > settings.max_cells:
-                left_out.append(
-                    f"{course.name} on {grid.label} at 1/{fraction} of its cell, turned by {degrees:g} degrees: "
-                    f"{size:,} cells"
-                )
-                continue
-            names = list(settings.planners) if degrees == settings.angles[0] or fraction == 1 else ["astar"]
-            names += ["any_angle"] if grid.any_angle else []
-            base = {"lattice": k, "moves": grid.moves, "fraction": fraction, "degrees": degrees, "planners": names}
-            cases += [{**base, "first": a, "last": b} for a, b in chunks]
+    for fraction, angles in [(1, (0.0,)), *((f, settings.angles) for f in settings.fractions)]:
+        lattices = [grid.make().scaled(world.cell / fraction) for grid in grids]
+        size, label = max(
+            (_window(world.turned(math.radians(degrees)), lattice), grid.label)
+            for degrees in angles
+            for lattice, grid in zip(lattices, grids, strict=True)
+        )
+        # All grids or none: a mean over fewer maps could not be compared.
+        if size > settings.max_cells:
+            left_out.append(f"{course.name} at 1/{fraction} of its cell: up to {size:,} cells on {label}")
+            continue
+        for degrees in angles:
+            for k, grid in enumerate(grids):
+                names = list(settings.planners) if degrees == angles[0] else ["astar"]
+                names += ["any_angle"] if grid.any_angle else []
+                base = {"lattice": k, "moves": grid.moves, "fraction": fraction, "degrees": degrees, "planners": names}
+                cases += [{**base, "first": a, "last": b} for a, b in chunks]
     parts = [{"first": a, "last": b} for a, b in chunks]
     work: list[tuple[tuple[str, Any], list[dict[str, Any]]]] = [(("ruler", ruler_case), parts)]
     if n == 2:

@@ -1,8 +1,9 @@
 """``python -m tests.benchmarks``: all of them, one after the other."""
 
-from tests.benchmarks import experiments, mapping, planning, voxels
+from tests.benchmarks import anyangle, canonical, experiments, mapping, optimum, planning, replanning, voxels
 
 voxels.main()
 mapping.main()
 experiments.main()
-planning.main()
+for module in (planning, canonical, optimum, anyangle, replanning):
+    module.main([])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
 from importlib import metadata
+from pathlib import Path
 
 
 def median_seconds(function: Callable[[], object], repeats: int = 7) -> float:
@@ -17,6 +19,12 @@ def median_seconds(function: Callable[[], object], repeats: int = 7) -> float:
         function()
         times.append(time.perf_counter() - begin)
     return statistics.median(times)
+
+
+def data_folder() -> Path:
+    """Return the folder of the real logs and maps, there or not."""
+    named = os.environ.get("HEXMAP_DATA")
+    return Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 def versions(*names: str) -> str:

@@ -4,13 +4,13 @@ In the plane: the MovingAI maps rasterised by the cells' centres at the source r
 optimum is that of a point through the source map between the same two points (planners.optimum).
 Rasters on hexagons can open or shut gaps of the source map: ratios below one are such gaps. In space: the
 Warframe maps, against the shortest of the paths that any planner here found. Times are CPU seconds of one
-thread. ``python -m tests.benchmarks.anyangle DATA [QUERIES [MAP ...]]``.
+thread. ``python -m tests.benchmarks.anyangle [--queries 100] [map ...]``, maps by name such as arena or Simple.
 """
 
 from __future__ import annotations
 
+import argparse
 import gzip
-import sys
 import time
 from pathlib import Path as FilePath
 
@@ -21,7 +21,7 @@ from hexmap.lattice import Lattice
 from planners import NoPath, astar, shortcut
 from planners._anyangle import search_way
 from planners.optimum import AnyAngleOptimum
-from tests.benchmarks._timing import table, versions
+from tests.benchmarks._timing import data_folder, table, versions
 
 PLANE = (("Z2", 8, 1.0), ("Z2", 8, 0.5), ("A2", 6, 0.5), ("A2", 12, 0.5), ("Z2", 8, 0.25), ("A2", 6, 0.25))
 MAPS = ("arena", "den520d", "AR0011SR", "brc202d", "Berlin_0_512", "maze512-8-0", "random512-25-0")
@@ -115,17 +115,25 @@ def one_map(label: str, free: np.ndarray, ends: np.ndarray, kind: tuple[str, int
     return [label, len(r), *over, *[float(v) for v in mean[2:4]], *[int(v) for v in mean[4:]]]
 
 
-def main(data: str = "/data", queries: str = "100", *maps: str) -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.anyangle")
+    parser.add_argument("maps", nargs="*")
+    parser.add_argument("--queries", type=int, default=100)
+    chosen = parser.parse_args(arguments)
+    maps, queries = chosen.maps, chosen.queries
     print(versions("hexmap", "numpy", "numba"), "\n")
-    folder = FilePath(data) / "planning"
+    folder = data_folder() / "planning"
+    if not folder.is_dir():
+        print("any-angle planning is left out: no shared data (set HEXMAP_DATA)")
+        return
     rows: list[list[object]] = [HEAD]
     for name in maps or MAPS:
         if name not in MAPS:
             continue
         free, ends = read_map(folder / "movingai", name)
         for kind in PLANE:
-            rows.append(one_map(f"{name}, {kind[0]}-{kind[1]}, 1/{1 / kind[2]:g}", free, ends, kind, int(queries)))
+            rows.append(one_map(f"{name}, {kind[0]}-{kind[1]}, 1/{1 / kind[2]:g}", free, ends, kind, queries))
     if len(rows) > 1:
         table(rows)
     rows = [HEAD]
@@ -135,10 +143,10 @@ def main(data: str = "/data", queries: str = "100", *maps: str) -> None:
         free, ends = read_voxels(folder / "warframe", name)
         for lattice, neighbourhood in SPACE:
             label = f"{name}, {lattice}-{neighbourhood}"
-            rows.append(one_map(label, free, ends, (lattice, neighbourhood, 1.0), int(queries)))
+            rows.append(one_map(label, free, ends, (lattice, neighbourhood, 1.0), queries))
     if len(rows) > 1:
         table(rows)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

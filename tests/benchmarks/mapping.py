@@ -16,7 +16,7 @@ from pathlib import Path
 
 from hexmap.trajectory import read_relations, read_tum
 from localisation.evaluation import evaluate_relations
-from tests.benchmarks._timing import table, versions
+from tests.benchmarks._timing import data_folder, table, versions
 
 SECONDS_OF_INTEL = 2691.0
 
@@ -63,8 +63,7 @@ def main() -> None:
     """Print all tables."""
     print(versions("hexmap", "numpy", "numba", "pyarrow"), "\n")
     start()
-    named = os.environ.get("HEXMAP_DATA")
-    folder = (Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data") / "laser2d"
+    folder = data_folder() / "laser2d"
     if not folder.is_dir():
         print("the Intel log is left out: no shared data (set HEXMAP_DATA)")
         return

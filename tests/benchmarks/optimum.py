@@ -9,7 +9,6 @@ optimum; skips what needs the shared data where it is absent.
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from hexmap.worlds import FREE, open_world, read_scenario
 from planners.optimum import AnyAngleOptimum
-from tests.benchmarks._timing import table, versions
+from tests.benchmarks._timing import data_folder, table, versions
 
 MAPS = ("arena", "brc202d", "Berlin_0_512", "random512-25-0", "maze512-8-0", "AR0011SR", "den520d")
 
@@ -61,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--problems", type=int, default=500, help="of each map but the smallest")
     chosen = parser.parse_args(arguments)
-    data = Path(os.environ.get("HEXMAP_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
+    data = data_folder()
     folder = data / "planning" / "movingai"
     print(versions("hexmap", "numpy", "numba", "scipy"), "\n")
     if not folder.is_dir():

@@ -33,7 +33,7 @@ import numpy as np
 from hexmap.graph import LatticeGraph
 from hexmap.lattice import Lattice
 from planners import astar, dijkstra
-from tests.benchmarks._timing import median_seconds, table, versions
+from tests.benchmarks._timing import data_folder, median_seconds, table, versions
 
 FIELDS = (
     ("A2", 6, (1024, 1024)),
@@ -177,7 +177,7 @@ def corner_peers(repeats: int = 5) -> None:
             [f"dijkstra3d, {name}-{size}, {' x '.join(map(str, shape))}", 1e3 * ours, astar(graph, start, goal).cost,
              *[1e3 * t for t in theirs], length, best / ours, 1e3 * without, free_length, best / without]
         )  # fmt: skip
-    for name, size, shape in (("Z2", 8, (1024, 1024)), ("Z3", 26, (48, 48, 48))):
+    for name, size, shape in (("Z2", 8, (1024, 1024)), ("Z3", 26, (96, 96, 96))):
         import networkx
 
         n = len(shape)
@@ -284,7 +284,7 @@ def memory(cells: int = 10**8) -> None:
     head = ["bytes a cell of the world", "cells", "window cells a cell", "graph", "resident"]
     rows: list[list[object]] = [[*head, "search, reserved", "resident", "build, s", "plan, s", "expanded"]]
     tasks = [(name, size, "") for name, size in WORLDS]
-    data = Path(os.environ.get("HEXMAP_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
+    data = data_folder()
     warframe = data / "planning" / "warframe" / "A1.3dmap.gz"
     if warframe.exists():
         tasks += [("Z3", 26, str(warframe)), ("D3", 12, str(warframe)), ("D3*", 8, str(warframe))]

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 from hexmap.experiments.runner import run_cases
 from planners._benchmark_cases import ruler_case
 from planners.benchmark import BenchmarkSettings, open_course, publishers_roots
-from tests.benchmarks._timing import table, versions
+from tests.benchmarks._timing import data_folder, table, versions
 
 _CHUNK = 100
 
@@ -57,8 +56,7 @@ def main() -> None:
     arguments = parser.parse_args()
     maps = arguments.maps
     if not maps:
-        named = os.environ.get("HEXMAP_DATA")
-        data = Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
+        data = data_folder()
         maps = sorted(data.glob("planning/movingai/*.map")) + sorted(data.glob("planning/warframe/*.3dmap.gz"))
     print(versions("hexmap", "numpy", "numba"), "\n")
     rows: list[list[object]] = [["map", "problems", "equal to the digits", "differ", "published with", "seconds"]]

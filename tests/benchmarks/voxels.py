@@ -10,13 +10,12 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from pathlib import Path
 
 import numpy as np
 
 from hexmap.lattice import Lattice
 from hexmap.voxels import VoxelList
-from tests.benchmarks._timing import median_seconds, table, versions
+from tests.benchmarks._timing import data_folder, median_seconds, table, versions
 
 SPATIAL = ("Z3", "D3", "D3*", "A2xZ")
 
@@ -89,8 +88,7 @@ def quantise(points: np.ndarray, resolution: float) -> None:
 
 def stairs() -> np.ndarray | None:
     """Points of the stairs hall (binary PCD of float32 x y z), where the shared data is."""
-    named = os.environ.get("HEXMAP_DATA")
-    folder = Path(named) if named else Path(__file__).resolve().parents[3] / "shared" / "data"
+    folder = data_folder()
     path = folder / "scans3d" / "stairs_hall.pcd"
     if not path.exists():
         print(f"{path.name} is left out: no shared data (set HEXMAP_DATA)")
