@@ -16,6 +16,7 @@ _HOMES = {
     "OptimalPath": "planners.optimum",
     "Path": "planners.path",
     "PathTable": "planners.path_files",
+    "Replanner": "planners._replanning",
     "any_angle": "planners._anyangle",
     "astar": "planners._astar",
     "canonical": "planners._canonical",
@@ -36,6 +37,7 @@ __all__ = [
     "OptimalPath",
     "Path",
     "PathTable",
+    "Replanner",
     "any_angle",
     "astar",
     "canonical",
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
     from planners._canonical import canonical
     from planners._dijkstra import DistanceField, dijkstra
     from planners._nearest import nearest_reachable
+    from planners._replanning import Replanner
     from planners.optimum import AnyAngleOptimum, OptimalPath
     from planners.path import NoPath, Path, shortcut, to_cell
     from planners.path_files import PathTable, read_path, write_path
