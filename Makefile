@@ -5,6 +5,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+# The tests that are worth running without the compiler.
+PLAIN := $(foreach name,lattice voxels rays tiles graph planners canonical replanning,tests/test_$(name).py)
 
 .PHONY: demo test test-nojit lint bench clean
 
@@ -17,7 +19,7 @@ test: $(READY) test-nojit
 
 # The kernels as plain Python: bounds are checked, and what the compiler might hide shows.
 test-nojit: $(READY)
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/test_lattice.py tests/test_voxels.py tests/test_rays.py tests/test_tiles.py
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(PLAIN)
 
 lint: $(READY)
 	$(BIN)/ruff check

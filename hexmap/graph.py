@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hexmap._graph_clearance import Obstacles
+from hexmap._graph_moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
+from hexmap._graph_window import CHUNK, cells_in_box, window_of_box
 from hexmap.errors import ArgumentError
 from hexmap.lattice import Lattice
 from hexmap.maps import Map, StateRule
@@ -34,75 +36,9 @@ if TYPE_CHECKING:
 
 __all__ = ["MAX_CELLS", "LatticeGraph", "Neighbourhood", "swept_cells"]
 
-Neighbourhood: TypeAlias = Literal["nearest", "faces", "extended"] | int | None
 MAX_CELLS = 2_000_000_000
 _FLAT_LIMIT = 2**31 - 1  # labels and parents of a search are int32
-_TOUCH = 1e-9  # a cell is swept if the line comes this near to it, in parts of its width
-_SAME = 1e-12  # lengths that agree to this part are the same
-_NEARER = 1e-9  # a clearance this little short of a radius is as large
-_CHUNK = 1 << 18
 _BALL = 20_000  # offsets of a clearance ball up to which stamping beats a search tree
-
-
-def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
-    """Return the cells (S, n) that the straight line from the cell 0 to the cell ``move`` (n,) touches between.
-
-    All cells whose closed Voronoi cell meets the line between the two centres, to 1e-9 of a cell,
-    but for the two ends; lexicographically ascending, none for a move across a face.
-
-    Examples:
-        >>> swept_cells(Lattice.named("Z2"), [1, 1]).tolist()
-        [[0, 1], [1, 0]]
-    """
-    v = np.asarray(move, dtype=np.int64)
-    if v.shape != (lattice.dim,):
-        raise ArgumentError(f"a move on {lattice.name} takes {lattice.dim} integers, not {move!r}")
-    none = np.empty((0, lattice.dim), np.int64)
-    if not v.any() or (lattice.faces == v).all(axis=1).any():
-        return none
-    # In the reduced basis no cell reaches far, and Gram matrices are as exact as they can be.
-    tables = lattice.ray_tables
-    towards = lattice.reduced_index(v[None])[0]
-    margin = np.ceil(np.abs(lattice.coordinates(lattice.cell.vertices)).max(axis=0)).astype(np.int64) + 1
-    low, high = np.minimum(towards, 0) - margin, np.maximum(towards, 0) + margin
-    to_reduced = lattice.reduced_index(np.eye(lattice.dim, dtype=np.int64)).T
-    to_public = np.rint(np.linalg.inv(to_reduced)).astype(np.int64)
-    cells = np.indices(high - low + 1).reshape(lattice.dim, -1).T + low
-    # The point t v is in the closed cell around c where t (v G f) <= f G f / 2 + c G f for all faces f.
-    rate = tables.planes @ towards
-    room = tables.half * (1.0 + 2.0 * _TOUCH) + cells @ tables.planes.T
-    steady = np.abs(rate) <= 1e-12 * np.abs(tables.half)
-    safe = np.where(steady, 1.0, rate)
-    leave = np.where(rate > 0, room / safe, np.inf)[:, ~steady].min(axis=1)
-    enter = np.where(rate < 0, room / safe, -np.inf)[:, ~steady].max(axis=1)
-    touched = (np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)) & (room[:, steady] >= 0.0).all(axis=1)
-    found = cells[touched] @ to_public.T
-    found = found[(found != 0).any(axis=1) & (found != v).any(axis=1)]
-    return np.ascontiguousarray(found[np.lexsort(found.T[::-1])])
-
-
-def _moves_of(lattice: Lattice, neighbourhood: Neighbourhood) -> NDArray[np.int64]:
-    """Return the offsets (K, n) of a neighbourhood by its name or size."""
-    named: dict[Any, str] = {None: "neighbours", "nearest": "nearest", "faces": "faces", "extended": "extended"}
-    if isinstance(neighbourhood, (int, np.integer)) and not isinstance(neighbourhood, bool):
-        moves = lattice.shell(int(neighbourhood))
-    elif neighbourhood is None or (isinstance(neighbourhood, str) and neighbourhood in named):
-        moves = getattr(lattice, named[neighbourhood])
-    else:
-        raise ArgumentError(f"a neighbourhood is nearest, faces, extended or a size, not {neighbourhood!r}")
-    return np.ascontiguousarray(moves, dtype=np.int64)
-
-
-def _lengths_of(lattice: Lattice, moves: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the lengths (K,) of moves, metres, with those that are equal made equal to the last bit."""
-    lengths = np.sqrt((lattice.centres(moves) ** 2).sum(axis=1))
-    order = np.argsort(lengths, kind="stable")
-    reference = 0.0
-    for k in order:
-        if lengths[k] > reference * (1.0 + _SAME):
-            reference = lengths[k]
-        lengths[k] = reference
-    return lengths
 
 
 def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -111,24 +47,6 @@ def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) 
     if answer.shape != (len(points),):
         raise ArgumentError(f"{name} must answer {len(points)} points, not with an array {answer.shape}")
     return answer.astype(np.bool_)
-
-
-@dataclass
-class _Obstacles:
-    """Where clearance is measured from; graphs derived from one another share it.
-
-    Attributes:
-        cells: (M, n) int64 index of all of them, once known.
-        free: the states (size,) that they are found in otherwise: all blocked cells of the window.
-        box: the corners, metres, of the box that they must lie in, if not the whole window counts.
-        outside: whether the cells outside the window are obstacles as well.
-    """
-
-    cells: NDArray[np.int64] | None = None
-    free: NDArray[np.uint8] | None = None
-    box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-    outside: bool = False
-    tree: Any = field(default=None, repr=False)
 
 
 class LatticeGraph:
@@ -186,9 +104,9 @@ class LatticeGraph:
                 f"a window on {lattice.name} takes {n} indices and {n} sizes of at least 1, not {inner}"
             )
         self.lattice = lattice
-        self.moves = _moves_of(lattice, neighbourhood)
-        self.lengths = _lengths_of(lattice, self.moves)
-        swept = self._swept_of_moves()
+        self.moves = moves_of(lattice, neighbourhood)
+        self.lengths = lengths_of(lattice, self.moves)
+        swept = swept_by_moves(lattice, self.moves)
         reach = np.concatenate([self.moves, lattice.faces, *swept])
         self.pad = np.abs(reach).max(axis=0).astype(np.int64)
         shape = [s + 2 * int(p) for s, p in zip(inner, self.pad, strict=True)]
@@ -210,18 +128,9 @@ class LatticeGraph:
         self.swept = np.ascontiguousarray(np.concatenate(swept) @ self.strides, dtype=np.int64)
         self.free = np.zeros(self.size, np.uint8)
         self.terrain: NDArray[np.float64] | None = None
-        self.equal_edges = bool(np.ptp(self.lengths) <= _SAME * self.lengths.max())
-        self._obstacles = _Obstacles(free=self.free)
+        self.equal_edges = bool(np.ptp(self.lengths) <= SAME_LENGTH * self.lengths.max())
+        self._obstacles = Obstacles(free=self.free)
         self._labels: NDArray[np.int32] | None = None
-
-    def _swept_of_moves(self) -> list[NDArray[np.int64]]:
-        """Return what each move sweeps; opposite moves from opposite ends sweep the same, to the last cell."""
-        found: dict[tuple[int, ...], NDArray[np.int64]] = {}
-        for move in self.moves:
-            key = tuple(int(v) for v in move)
-            opposite = tuple(-v for v in key)
-            found[key] = -found[opposite] if opposite in found else swept_cells(self.lattice, move)
-        return [found[tuple(int(v) for v in move)] for move in self.moves]
 
     # ------------------------------------------------------------------ where graphs come from
 
@@ -264,14 +173,14 @@ class LatticeGraph:
             slack = 1e-9 * lattice.resolution
             low, high = centres.min(axis=0) - slack, centres.max(axis=0) + slack
             graph = cls._of_box(lattice, low, high, neighbourhood, max_cells)
-            for flat, _ in graph._in_box(low, high):
+            for flat, _ in cells_in_box(graph, low, high):
                 graph.free[flat] = 1
             graph.free[graph.index_to_flat(states.occupied.index)] = 0
         else:
             first = known.min(axis=0)
             graph = cls(lattice, first, known.max(axis=0) - first + 1, neighbourhood, max_cells)
             graph.free[graph.index_to_flat(states.free.index)] = 1
-        graph._obstacles = _Obstacles(cells=states.occupied.index.astype(np.int64))
+        graph._obstacles = Obstacles(cells=states.occupied.index.astype(np.int64))
         return graph
 
     @classmethod
@@ -303,7 +212,7 @@ class LatticeGraph:
         graph.inner_states()[...] = 1
         flat = graph.index_to_flat(occupied.index)
         graph.free[flat[flat >= 0]] = 0
-        graph._obstacles = _Obstacles(cells=occupied.index.astype(np.int64))
+        graph._obstacles = Obstacles(cells=occupied.index.astype(np.int64))
         return graph
 
     @classmethod
@@ -391,7 +300,7 @@ class LatticeGraph:
         if occupied_at is not None:
             graph._obstacles.free = np.ones(graph.size, np.uint8)
         centres = 0
-        for flat, points in graph._in_box(low, high):
+        for flat, points in cells_in_box(graph, low, high):
             graph.free[flat] = _answers("free_at", free_at, points)
             if occupied_at is not None:
                 assert graph._obstacles.free is not None
@@ -412,35 +321,8 @@ class LatticeGraph:
         max_cells: int,
     ) -> LatticeGraph:
         """Make a blocked window that holds all cells whose centre is in a box, metres."""
-        corners = np.array([[(low, high)[(c >> i) & 1][i] for i in range(lattice.dim)] for c in range(2**lattice.dim)])
-        u = corners @ np.linalg.inv(lattice.basis).T
-        if not np.abs(u).max() < 2.0**62:
-            raise ArgumentError(f"the box {low.tolist()} to {high.tolist()} is too large for its resolution")
-        first = np.ceil(u.min(axis=0) - 1e-6).astype(np.int64)
-        last = np.floor(u.max(axis=0) + 1e-6).astype(np.int64)
-        if (first > last).any():
-            raise ArgumentError(f"no centre of a cell lies in the box {low.tolist()} to {high.tolist()}")
-        return cls(lattice, first, last - first + 1, neighbourhood, max_cells)
-
-    def _in_box(
-        self, low: NDArray[np.float64], high: NDArray[np.float64]
-    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield, in pieces, the flat positions (N,) and centres (N, n) of the inner cells in a box, metres."""
-        from hexmap import _graph_kernels as kernels
-
-        n = self.lattice.dim
-        inner = self.inner_shape
-        total = math.prod(int(s) for s in inner)
-        basis = np.ascontiguousarray(self.lattice.basis).copy()
-        for begin in range(0, total, _CHUNK):
-            end = min(total, begin + _CHUNK)
-            flat = np.empty(end - begin, np.int64)
-            points = np.empty((end - begin, n), np.float64)
-            m = kernels.cells_in_box(
-                begin, end, self.first, inner, self.pad, self.strides, basis, low, high, flat, points
-            )
-            if m:
-                yield flat[:m], points[:m]
+        first, inner = window_of_box(lattice, low, high)
+        return cls(lattice, first, inner, neighbourhood, max_cells)
 
     def _derived(self, free: NDArray[np.uint8] | None, terrain: NDArray[np.float64] | None) -> LatticeGraph:
         """Return the same window with other states or another terrain."""
@@ -614,44 +496,11 @@ class LatticeGraph:
         All occupied cells of a map or a list of voxels; of blocked cells only those on the surface,
         which are the ones that can be nearest. Graphs made from this one by ``with_...`` keep them.
         """
-        o = self._obstacles
-        if o.cells is None and o.free is not None:
-            from hexmap import _graph_kernels as kernels
-
-            solid = np.zeros(self.size, np.uint8)
-            if o.box is not None:
-                for flat, _ in self._in_box(*o.box):
-                    solid[flat] = o.free[flat] == 0
-            elif o.outside:
-                np.equal(o.free, 0, out=solid, casting="unsafe")
-            else:
-                cut = tuple(slice(int(p), int(s - p)) for p, s in zip(self.pad, self.shape, strict=True))
-                shape = tuple(int(s) for s in self.shape)
-                np.equal(o.free.reshape(shape)[cut], 0, out=solid.reshape(shape)[cut], casting="unsafe")
-            surface = np.zeros(self.size, np.uint8)
-            faces = np.ascontiguousarray(self.lattice.faces @ self.strides)
-            kernels.mark_surface(solid, faces, self.inner_shape, self.pad, self.strides, surface)
-            # Not by flat_to_index: cells of the padding may lie beyond the range of int32.
-            at = np.unravel_index(np.flatnonzero(surface), tuple(int(s) for s in self.shape))
-            o.cells = np.ascontiguousarray(np.stack(at, axis=1) + self.low, dtype=np.int64)
-            o.free = None
-        assert o.cells is not None
-        return o.cells
+        return self._obstacles.find(self)
 
     def _distances(self, flat: NDArray[np.int64], limit: float = math.inf) -> NDArray[np.float64]:
         """Return the distance (M,), metres, of cells' centres to the nearest obstacle's; inf beyond ``limit``."""
-        cells = self.obstacles()
-        out = np.full(len(flat), np.inf)
-        if len(cells) == 0:
-            return out
-        if self._obstacles.tree is None:
-            from scipy.spatial import cKDTree
-
-            self._obstacles.tree = cKDTree(self.lattice.centres(cells), balanced_tree=False, compact_nodes=False)
-        for begin in range(0, len(flat), _CHUNK):
-            part = slice(begin, begin + _CHUNK)
-            out[part] = self._obstacles.tree.query(self.centres(flat[part]), distance_upper_bound=limit)[0]
-        return out
+        return self._obstacles.distances(self, flat, limit)
 
     def _inner_flat(self) -> NDArray[np.int64]:
         """Return the flat positions of all cells inside the padding."""
@@ -697,21 +546,8 @@ class LatticeGraph:
         """
         if not (math.isfinite(radius) and radius >= 0.0):
             raise ArgumentError(f"a radius must be a number of metres, 0 or more, not {radius!r}")
-        bound = radius * (1.0 - _NEARER)
         free = self.free.copy()
-        # Over-estimates the lattice points of the ball: one cell's width is added to the radius.
-        n = self.lattice.dim
-        if (2.0 * (radius + self.lattice.covering_radius)) ** n / self.lattice.cell_volume > _BALL:
-            nodes = np.flatnonzero(free)
-            free[nodes[self._distances(nodes, radius) < bound]] = 0
-        elif radius > 0.0:
-            from hexmap import _graph_kernels as kernels
-
-            # |index_i| <= |row i of the inverse basis| * |x|
-            reach = np.floor(np.linalg.norm(np.linalg.inv(self.lattice.basis), axis=1) * radius * 1.000001)
-            box = np.indices((2 * reach + 1).astype(np.int64)).reshape(n, -1).T - reach.astype(np.int64)
-            ball = np.ascontiguousarray(box[np.sqrt((self.lattice.centres(box) ** 2).sum(axis=1)) < bound])
-            kernels.block_around(self.obstacles(), ball, self.first, self.inner_shape, self.pad, self.strides, free)
+        self._obstacles.block_near(self, radius, free, _BALL)
         return self._derived(free, self.terrain)
 
     # ------------------------------------------------------------------ terrain
@@ -728,7 +564,7 @@ class LatticeGraph:
         """
         nodes = np.flatnonzero(self.free)
         if callable(terrain):
-            given = [np.atleast_1d(terrain(self.centres(nodes[k : k + _CHUNK]))) for k in range(0, len(nodes), _CHUNK)]
+            given = [np.atleast_1d(terrain(self.centres(nodes[k : k + CHUNK]))) for k in range(0, len(nodes), CHUNK)]
             values = np.concatenate(given).astype(np.float64) if given else np.empty(0)
             if values.shape != (len(nodes),):
                 raise ArgumentError(f"the terrain must answer {len(nodes)} points, not with an array {values.shape}")
