@@ -37,8 +37,8 @@ class Series:
         values: name -> (Q,), queries of all maps one after the other.
         maps: (Q,) number of the map of each.
         by_angle: degrees -> (Q,) length over the optimum.
-        window: cells of the window over free source cells, by map.
-        megabytes: of the graph, the mean over maps.
+        megabytes: of the graph, the mean over maps and angles.
+        bytes_a_cell: of the graph, a free cell.
     """
 
     dim: int
@@ -123,6 +123,12 @@ _KEYS = ("turning", "clearance", "mean_clearance", "expansions", "pushes", "scan
 def collect(results: Results, kept: list[NDArray[np.bool_]], best: list[FloatArray]) -> list[Series]:
     """Put the runs together by grid, cell size and planner."""
     number = {course.name: i for i, course in enumerate(results.courses)}
+    # On cells of the source's own size: what is connected on every grid.
+    own_size = [np.ones(len(course.starts), np.bool_) for course in results.courses]
+    for head, result in results.runs:
+        if head["fraction"] == 1:
+            for rows in result["answers"].values():
+                own_size[number[head["map"]]] &= np.array([row is not None for row in rows])
     groups: dict[tuple[int, int, int, str], list[tuple[int, float, list[Any], dict[str, Any]]]] = {}
     for head, result in results.runs:
         for planner, rows in result["answers"].items():
@@ -138,7 +144,7 @@ def collect(results: Results, kept: list[NDArray[np.bool_]], best: list[FloatArr
             mine = [run for run in runs if run[0] == i]
             course, use = results.courses[i], np.flatnonzero(kept[i])
             if fraction == 1:  # at that size some way may be closed; it counts for the time only
-                use = np.array([q for q in use if all(run[2][q] is not None for run in mine)], dtype=np.int64)
+                use = use[own_size[i][use]]
             if len(use) == 0:
                 continue
             unit = course.world.cell
@@ -185,7 +191,6 @@ class Outcome:
 def make_report(results: Results, command: str) -> Outcome:
     """Return the report of a run."""
     s = results.settings
-    rng_seed = s.seed
     ruler, roots = ruler_rows(results)
     kept = kept_queries(results)
     best = optima(results)
@@ -196,7 +201,7 @@ def make_report(results: Results, command: str) -> Outcome:
         if len(values) < 2 or np.ptp(values) == 0.0:
             value = float(values.mean()) if len(values) else math.nan
             return Interval(value, value, value)
-        return bootstrap(values, mean_of, rng=np.random.default_rng([rng_seed, 1]))
+        return bootstrap(values, mean_of, rng=np.random.default_rng([s.seed, 1]))
 
     names = ", ".join(course.name for course in results.courses)
     report = Report(f"Planning on squares and hexagons, cubes, FCC and BCC: {names}", command, settings_table(s))
@@ -217,6 +222,8 @@ def make_report(results: Results, command: str) -> Outcome:
     if different:
         failures.append(f"{different} of {len(ruler)} lengths differ from the published ones")
 
+    if not _parts(series):
+        failures.append(f"nothing was compared: every window is larger than {s.max_cells:,} cells")
     total = sum(len(k) for k in kept)
     dropped = total - sum(int(k.sum()) for k in kept)
     if dropped > MOST_DROPPED * total:
@@ -233,8 +240,14 @@ def make_report(results: Results, command: str) -> Outcome:
         report.paragraph(f"Left out, larger than {s.max_cells:,} cells: {text}.")
 
     summary: list[dict[str, Any]] = [
-        {"quantity": "problems equal to the published length", "value": equal},
-        {"quantity": "problems different from it", "value": different},
+        *(
+            [
+                {"quantity": "problems equal to the published length", "value": equal},
+                {"quantity": "problems different from it", "value": different},
+            ]
+            if ruler
+            else [{"quantity": "problems with a published length", "value": 0}]
+        ),
         {"quantity": "queries", "value": total},
         {"quantity": "queries dropped", "value": dropped},
     ]
@@ -242,13 +255,18 @@ def make_report(results: Results, command: str) -> Outcome:
         if one.fraction > 1 and one.planner in ("astar", "any_angle"):
             summary.append(
                 {
-                    "quantity": f"length over the {_optimum_word(one.dim)}: {one.label}, cells of 1/{one.fraction}",
+                    "quantity": f"length over the {_optimum_word(one.dim)}: {one.label}, edge 1/{one.fraction}",
                     "value": interval(one.values["ratio"]),
                 }
             )
     report.heading("Who wins what")
     _verdict(report, series, s.seed)
-    report.table("summary", summary, caption="The run in numbers; its first line says whether the ruler is straight.")
+    report.table(
+        "summary",
+        summary,
+        caption="The run in numbers. Its first lines say whether the ruler is straight; edge 1/2: a resolution of half "
+        "the source cell's edge.",
+    )
 
     _lengths(report, results, series, interval)
     _other_measures(report, series, interval)
@@ -269,6 +287,11 @@ def make_report(results: Results, command: str) -> Outcome:
 
 def _optimum_word(dim: int) -> str:
     return "any-angle optimum" if dim == 2 else "best path found"
+
+
+def _size_word(dim: int, fraction: int) -> str:
+    part = f"1/{fraction**dim} of its {'area' if dim == 2 else 'volume'}"
+    return f"1/{fraction} of the source cell's edge (cells of {part}, whatever their shape)"
 
 
 def _shown(series: Sequence[Series], dim: int, fraction: int) -> list[Series]:
@@ -305,9 +328,8 @@ def _lengths(report: Report, results: Results, series: list[Series], interval: A
         formats = {c: ".4f" for c in ("mean", "median", "95 %", "worst", "best", "exact free-space mean")}
         report.table(
             f"length_{dim}d_{fraction}", rows, formats=formats,
-            caption=f"Length over the {word}, cells of 1/{fraction} of the source cell"
-            + (" (its area)." if dim == 2 else " (its volume).")
-            + " A value below 1 is a path that cuts a corner within a cell.",
+            caption=f"Length over the {word}, at a resolution of {_size_word(dim, fraction)}. A value below 1 is a "
+            "path that cuts a corner within a cell.",
         )  # fmt: skip
         by_map = []
         for i, course in enumerate(results.courses):
@@ -321,13 +343,15 @@ def _lengths(report: Report, results: Results, series: list[Series], interval: A
         columns = ["map", *(x.label for x in shown)]
         report.table(
             f"length_by_map_{dim}d_{fraction}", by_map, columns=columns, formats={c: ".4f" for c in columns[1:]},
-            caption=f"The same by map, cells of 1/{fraction}.",
+            caption=f"The same by map, edge 1/{fraction}.",
         )  # fmt: skip
         _by_distance(report, shown, dim, fraction, interval)
         _by_angle(report, shown, dim, fraction, interval)
 
 
 def _by_distance(report: Report, shown: list[Series], dim: int, fraction: int, interval: Any) -> None:
+    from matplotlib.ticker import NullFormatter, ScalarFormatter
+
     optimum = shown[0].values["optimum"]
     edges = np.quantile(optimum, np.linspace(0, 1, _BINS + 1))
     bins = np.clip(np.searchsorted(edges, optimum, side="right") - 1, 0, _BINS - 1)
@@ -341,7 +365,7 @@ def _by_distance(report: Report, shown: list[Series], dim: int, fraction: int, i
             for b in range(_BINS):
                 if not (bins == b).any():
                     continue
-                row[f"{edges[b]:.0f} to {edges[b + 1]:.0f}"] = value = interval(x.values["ratio"][bins == b])
+                row[f"{edges[b]:.1f} to {edges[b + 1]:.1f}"] = value = interval(x.values["ratio"][bins == b])
                 found.append(value)
             rows.append(row)
             low = [v.value - v.low for v in found]
@@ -351,14 +375,17 @@ def _by_distance(report: Report, shown: list[Series], dim: int, fraction: int, i
                 color=COLOURS[k % len(COLOURS)], label=x.label, capsize=2, linewidth=1.2,
             )  # fmt: skip
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(ScalarFormatter())
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xticks([float(f"{m:.2g}") for m in middles])
         axes.set_xlabel(f"{_optimum_word(dim)}, source cells")
         axes.set_ylabel("length over it")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7.5)
     report.table(
         f"distance_{dim}d_{fraction}", rows, formats={c: ".4f" for c in rows[0] if c != "grid"},
-        caption=f"Length over the {_optimum_word(dim)} by its length in source cells, cells of 1/{fraction}.",
+        caption=f"Length over the {_optimum_word(dim)} by its length in source cells, edge 1/{fraction}.",
     )  # fmt: skip
-    report.figure(f"distance_{dim}d_{fraction}", figure, f"Length by distance, cells of 1/{fraction}.")
+    report.figure(f"distance_{dim}d_{fraction}", figure, f"Length by distance, edge 1/{fraction}.")
 
 
 def _by_angle(report: Report, shown: list[Series], dim: int, fraction: int, interval: Any) -> None:
@@ -378,7 +405,7 @@ def _by_angle(report: Report, shown: list[Series], dim: int, fraction: int, inte
         f"angle_{dim}d_{fraction}", rows,
         columns=["grid", *(f"{a:g}°" for a in angles), "spread"],
         formats={c: ".4f" for c in ("spread", *(f"{a:g}°" for a in angles))},
-        caption=f"Mean length over the {_optimum_word(dim)} by the angle the map is turned by, cells of 1/{fraction}.",
+        caption=f"Mean length over the {_optimum_word(dim)} by the angle the map is turned by, edge 1/{fraction}.",
     )  # fmt: skip
 
 
@@ -399,6 +426,7 @@ def _other_measures(report: Report, series: list[Series], interval: Any) -> None
                 {
                     "grid": x.grid.label,
                     "planner": x.planner,
+                    "angles": len(x.by_angle),
                     "turning, degrees": interval(v["turning"]),
                     "least clearance": interval(v["clearance"]),
                     "mean clearance": interval(v["mean_clearance"]),
@@ -416,9 +444,9 @@ def _other_measures(report: Report, series: list[Series], interval: Any) -> None
         }  # fmt: skip
         report.table(
             f"effort_{dim}d_{fraction}", rows, formats=formats,
-            caption=f"Means a query, cells of 1/{fraction}. Clearance: from the path (sampled every quarter of a "
+            caption=f"Means a query, edge 1/{fraction}. Clearance: from the path (sampled every quarter of a "
             "source cell) to the nearest blocked source cell, in source cells. Planners other than A* and "
-            "any-angle ran at the first angle only.",
+            "any-angle ran at the first angle only: compare rows of as many angles.",
         )  # fmt: skip
 
 
@@ -446,8 +474,9 @@ def _times(report: Report, results: Results, series: list[Series], interval: Any
         report.table(
             f"time_{dim}d", rows,
             formats={"mean ms": ".3f", "median ms": ".3f", "expansions": ".0f", "pushes": ".0f", "scanned": ".0f"},
-            caption="Milliseconds a query, warm, the search alone. At this size other lattices may leak through walls "
-            "of one cell: times are comparable, lengths are not, and none are given.",
+            caption="Milliseconds a query, warm, the search alone, on the queries that are connected on every grid. At "
+            "this size lattices other than the map's own may leak through walls of one cell, which may flatter their "
+            "times; lengths would be wrong, and none are given.",
         )  # fmt: skip
         if dim == 2:
             times = [t[np.isfinite(t)] for t in results.optimum_seconds if t is not None]
@@ -514,9 +543,10 @@ def _verdict(report: Report, series: list[Series], seed: int) -> None:
         boxes = sorted((x for x in grids if _is_box(x)), key=lambda x: x.grid.moves)
         others = [x for x in grids if not _is_box(x)]
         ranked = sorted(grids, key=lambda x: float(x.values["ratio"].mean()))
+        order = ", ".join(_excess(x) for x in ranked)
         text = (
-            f"Cells of 1/{fraction} of the source cell's {'area' if dim == 2 else 'volume'}, A* on the moves of the "
-            f"grid, shortest first: {', '.join(_excess(x) for x in ranked)} over the {_optimum_word(dim)}"
+            f"At a resolution of {_size_word(dim, fraction)}, A* on the moves of the grid, shortest first: {order} "
+            f"over the {_optimum_word(dim)}"
         )
         if free:
             text += f"; any-angle paths: {', '.join(_excess(x) for x in free)}"
@@ -525,7 +555,7 @@ def _verdict(report: Report, series: list[Series], seed: int) -> None:
         pairs += [(x, free[0]) for x in free[1:]]
         for x, box in pairs:
             row, won, lost = _compared(x, box, seed)
-            rows.append({"dimension": dim, "cells": f"1/{fraction}", **row})
+            rows.append({"dimension": dim, "edge": f"1/{fraction}", **row})
             if x.planner == "any_angle" and not (won or lost):
                 continue
             parts = [f"wins {_listed(won)}"] if won else []
@@ -536,7 +566,8 @@ def _verdict(report: Report, series: list[Series], seed: int) -> None:
         report.table(
             "compare", rows, formats={word: ".3f" for _, word, _ in _MEASURES},
             caption="How many times the second's value the first's is, on the same queries. Won and lost: where the "
-            "interval does not hold 1; less is better but for clearance.",
+            "interval does not hold 1, as one in twenty would by chance; less is better but for clearance. Turning and "
+            "clearance are those of one of many equally short paths.",
         )  # fmt: skip
 
 
@@ -565,7 +596,8 @@ def _compared(a: Series, b: Series, seed: int) -> tuple[dict[str, Any], list[str
             continue
         row[word] = ratio = bootstrap_ratio(u, v, mean_of, rng=np.random.default_rng([seed, 3]))
         if not ratio.low <= 1.0 <= ratio.high:
-            shown = f"{word} ({format_number(ratio.value, '.2f')} times)"
+            digits = ".2f" if abs(ratio.value - 1.0) >= 0.01 else ".4f"
+            shown = f"{word} ({format_number(ratio.value, digits)} times)"
             (won if (ratio.value > 1.0) == (good > 0) else lost).append(shown)
     row["won"], row["lost"] = (
         ", ".join(w.partition(" (")[0] for w in won),

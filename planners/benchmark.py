@@ -28,11 +28,11 @@ from planners._benchmark_cases import grid_case, open_case, optimum_case, random
 if TYPE_CHECKING:
     from planners._benchmark_report import Outcome
 
-__all__ = ["GRIDS", "BenchmarkSettings", "Grid", "planning_benchmark"]
+__all__ = ["GRIDS", "BenchmarkSettings", "Grid", "planning_benchmark", "run_benchmark"]
 
 Progress = Callable[[int, int], None]
 _CHUNK = 50  # queries a case: what an interruption can cost
-MOST_DROPPED = 0.02
+MOST_DROPPED = 0.02  # part of the queries; more says that the grids are too coarse for the map
 _OPEN_RADIUS = {2: 200.0, 3: 40.0}  # cells, of the check in free space
 _OPEN_DIRECTIONS = 4000
 
@@ -91,11 +91,12 @@ class BenchmarkSettings:
     Attributes:
         queries: a map; drawn from its problems, or all of them if it has fewer.
         angles: degrees by which the maps are turned.
-        fractions: parts of a source cell that the grids' cells measure: 2 for a half.
+        fractions: 2 for grids whose resolution is a half of the source cell's edge, and so on.
         max_cells: of a window; what would be larger is left out, and said.
         seed: chooses queries and resamples.
         planners: on every grid; ``any_angle`` is added where a grid asks for it.
-        grids: by dimension; the first is what the others are compared with.
+        planar: the grids in the plane.
+        spatial: the grids in space.
     """
 
     queries: int = 200
@@ -117,8 +118,15 @@ class BenchmarkSettings:
             raise ArgumentError(f"an angle is given twice: {self.angles}")
         if not self.fractions or any(isinstance(f, bool) or f < 2 for f in self.fractions):
             raise ArgumentError(
-                f"cells must be a half of the source cell or less, not 1/{min(self.fractions, default=0)}"
+                f"cells must measure a half of the source cell's edge or less, not 1/{min(self.fractions, default=0)}"
             )
+        if len(set(self.fractions)) < len(self.fractions):
+            raise ArgumentError(f"a fraction is given twice: {self.fractions}")
+        for grids in (self.planar, self.spatial):
+            if len({grid.label for grid in grids}) < len(grids):
+                raise ArgumentError(f"a grid is given twice: {', '.join(grid.label for grid in grids)}")
+        if self.seed < 0:
+            raise ArgumentError(f"the seed must be 0 or larger, not {self.seed}")
         if self.max_cells < 1:
             raise ArgumentError(f"a window needs room for a cell, not for {self.max_cells}")
 
@@ -220,12 +228,12 @@ def open_course(path: Path, settings: BenchmarkSettings) -> Course:
     scenario = read_scenario(beside)
     scenario.check(world)
     rng = np.random.default_rng([settings.seed, len(scenario.lengths)])
-    useful = np.flatnonzero(np.asarray(scenario.lengths) > 0)
+    useful = np.flatnonzero((scenario.starts != scenario.goals).any(axis=1))
     chosen = useful
     if len(useful) > settings.queries:
         chosen = np.sort(rng.choice(useful, settings.queries, replace=False))
     if len(chosen) == 0:
-        raise ArgumentError(f"{beside}: has no problem with a length")
+        raise ArgumentError(f"{beside}: has no problem whose start is not its goal")
     texts = tuple(scenario.texts[int(k)] for k in chosen)
     style = print_style([scenario.texts[int(k)] for k in useful])
     return Course(path.name, world, scenario.starts[chosen], scenario.goals[chosen], texts, chosen, style)
@@ -263,6 +271,7 @@ class Results:
         courses: the maps.
         ruler: for each map the costs (Q,) in source cells and the steps by kind.
         optimum: for each planar map the optimal lengths (Q,), metres, nan where there is none.
+        optimum_seconds: what finding each took.
         runs: case -> its result, queries put together.
         left_out: sentences on what was too large.
         open: rows of the check in free space.
@@ -315,7 +324,7 @@ def run_benchmark(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Results:
-    """Compute all cases."""
+    """Compute all cases; arguments and errors are those of :func:`planning_benchmark`."""
     if not maps:
         raise ArgumentError("the benchmark needs at least one map")
     names = [path.name for path in maps]
@@ -404,7 +413,7 @@ def _plan(course: Course, settings: BenchmarkSettings) -> _Plan:
         )
         # All grids or none: a mean over fewer maps could not be compared.
         if size > settings.max_cells:
-            left_out.append(f"{course.name} at 1/{fraction} of its cell: up to {size:,} cells on {label}")
+            left_out.append(f"{course.name} at 1/{fraction} of its cell's edge: up to {size:,} cells on {label}")
             continue
         for degrees in angles:
             for k, grid in enumerate(grids):

@@ -183,7 +183,7 @@ def test_the_report_begins_with_the_ruler(tmp_path: Path) -> None:
     assert rows[1][:2] == ["problems equal to the published length", "12"]
     assert rows[2][:2] == ["problems different from it", "0"]
     for grid in SMALL.planar:
-        assert any(f" {grid.label}, cells of 1/2" in row[0] for row in rows)
+        assert any(f" {grid.label}, edge 1/2" in row[0] for row in rows)
 
 
 def test_a_bent_ruler_fails_the_run_and_is_listed(tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_free_space_agrees_with_the_exact_table(tmp_path: Path) -> None:
     "wrong",
     [
         {"queries": 3}, {"angles": ()}, {"angles": (0.0, 0.0)}, {"angles": (math.nan,)}, {"fractions": ()},
-        {"fractions": (1,)}, {"max_cells": 0},
+        {"fractions": (1,)}, {"fractions": (2, 2)}, {"max_cells": 0}, {"seed": -1}, {"planar": (Grid("Z2", 4),) * 2},
     ],
 )  # fmt: skip
 def test_settings_that_make_no_sense(wrong: dict[str, Any]) -> None:
@@ -241,6 +241,8 @@ def test_too_large_windows_are_left_out_and_said(tmp_path: Path) -> None:
     )
     results = run_benchmark([path], settings)
     assert results.left_out and all("1/4" in text for text in results.left_out)
+    nothing = planning_benchmark([path], BenchmarkSettings(queries=12, planners=("astar",), max_cells=10))
+    assert any("nothing was compared" in text for text in nothing.failures)
 
 
 # ---------------------------------------------------------------------- the command
@@ -261,16 +263,22 @@ def test_the_command(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--angles", "0,x"], "--angles"), (["--fractions", "1"], "half"), (["--planners", "magic"], "magic"),
-        (["--queries", "2"], "8 queries"), (["--planners", "dijkstra"], "astar"), (["--random-angles", "-3"], "-3"),
+        ("--angles 0,x", "--angles"),
+        ("--fractions 1", "half"),
+        ("--planners magic", "magic"),
+        ("--planners dijkstra", "astar"),
+        ("--queries 2", "8 queries"),
+        ("--random-angles -3", "-3"),
+        ("--angles 0 --random-angles 2", "both"),
+        ("--seed -1", "seed"),
     ],
-)  # fmt: skip
-def test_wrong_options(tmp_path: Path, options: list[str], said: str) -> None:
+)
+def test_wrong_options(tmp_path: Path, options: str, said: str) -> None:
     path = write_map(tmp_path, "random.map", random_map(3, (10, 10), 0.1), count=8)
-    run = CliRunner().invoke(app, ["benchmark", "planning", str(path), "-o", str(tmp_path / "r"), *options])
+    run = CliRunner().invoke(app, ["benchmark", "planning", str(path), "-o", str(tmp_path / "r"), *options.split()])
     assert run.exit_code != 0
-    assert said in str(run.exception)
-    assert not list(tmp_path.glob("r/*.html"))
+    assert said in str(run.exception) + run.output
+    assert not (tmp_path / "r").exists()
 
 
 def test_two_maps_of_one_name_and_none(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line
-from hexmap.cli.experiments import check_folder, command_line, make_folder, write_report
+from hexmap.cli.experiments import check_folder, command_line, write_report
 
 Number = TypeVar("Number", int, float)
 
@@ -33,9 +33,13 @@ def planning(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
     queries: Annotated[int, typer.Option(help="Problems a map, drawn from its file.")] = 200,
-    angles: Annotated[str, typer.Option(help="Degrees by which the maps are turned, such as 0,17,31.")] = "0,17,31",
-    random_angles: Annotated[int, typer.Option(help="So many random angles instead.")] = 0,
-    fractions: Annotated[str, typer.Option(help="Cells of the grids: 2 for half a source cell, and so on.")] = "2,4",
+    angles: Annotated[
+        str | None, typer.Option(help="Degrees by which the maps are turned.", show_default="0,17,31")
+    ] = None,
+    random_angles: Annotated[int | None, typer.Option(help="So many random angles instead.")] = None,
+    fractions: Annotated[
+        str, typer.Option(help="Resolutions: 2 for half the edge of a source cell, and so on.")
+    ] = "2,4",
     planners: Annotated[str, typer.Option(help="On every grid: astar, dijkstra, canonical.")] = "astar,canonical",
     max_cells: Annotated[int, typer.Option(help="Largest window; larger ones are left out.")] = 300_000_000,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
@@ -53,9 +57,15 @@ def planning(
             raise ArgumentError(f"--planners takes {', '.join(known)}, not {name!r}")
     if "astar" not in chosen:
         raise ArgumentError("--planners needs astar: what others are compared with")
+    if angles is not None and random_angles is not None:
+        raise typer.BadParameter("give --angles or --random-angles, not both")
+    if random_angles is None:
+        turns = _numbers("0,17,31" if angles is None else angles, "--angles", float)
+    else:
+        turns = _random_angles(random_angles, seed)
     settings = BenchmarkSettings(
         queries=queries,
-        angles=_random_angles(random_angles, seed) if random_angles else _numbers(angles, "--angles", float),
+        angles=turns,
         fractions=_numbers(fractions, "--fractions", int),
         max_cells=max_cells, seed=seed, planners=chosen,
     )  # fmt: skip
@@ -68,7 +78,7 @@ def planning(
             update(done)
 
         outcome = planning_benchmark(
-            [_found(path) for path in maps], settings, command=command_line(), folder=make_folder(output),
+            [_found(path) for path in maps], settings, command=command_line(), folder=output,
             workers=workers, progress=progress,
         )  # fmt: skip
     write_report(outcome.report, output)
@@ -107,4 +117,6 @@ def _random_angles(count: int, seed: int) -> tuple[float, ...]:
 
     if not 1 <= count <= 1000:
         raise ArgumentError(f"--random-angles takes 1 to 1000, not {count}")
+    if seed < 0:
+        raise ArgumentError(f"the seed must be 0 or larger, not {seed}")
     return tuple(float(a) for a in np.round(np.random.default_rng([seed, 11]).uniform(0.0, 360.0, count), 3))
