@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["astar", "plan_many"]
 
+_MOST_WEIGHT = 1e6  # more is greedy search, and would overflow the queue's keys
 _KEY_STEPS = 2.0**32  # keys of the queue a cheapest move
 # Lengths are rounded to this part of the shortest, so that sums of up to 2^17 of them have no
 # rounding error: without that the order of a sum decides ties, and opens cells again by the thousand.
@@ -79,8 +80,8 @@ def astar(
         >>> astar(graph, [0, 0], [2, 4]).cost
         6.0
     """
-    if not (np.isfinite(weight) and weight >= 1.0):
-        raise ArgumentError(f"the weight of the heuristic must be a number of 1 or more, not {weight!r}")
+    if not 1.0 <= weight <= _MOST_WEIGHT:
+        raise ArgumentError(f"the weight of the heuristic must be a number from 1 to {_MOST_WEIGHT:g}, not {weight!r}")
     if heuristic not in (None, "none"):
         raise ArgumentError(f"heuristic must be None (derived from the moves) or 'none', not {heuristic!r}")
     if bidirectional and weight != 1.0:

@@ -80,7 +80,7 @@ class DistanceField:
 
         The lowest of the moves that are equally good. Computed from the distances when asked for.
         """
-        from planners import _search_kernels as kernels
+        from planners import _field_kernels as kernels
 
         out = np.empty(self.graph.size, np.uint8)
         kernels.parents(self._values, out, *self._arguments())
@@ -128,7 +128,7 @@ class DistanceField:
             ):
                 raise NoPath("beyond the limit", f"{where}, the search went no farther")
             raise NoPath("not connected", f"nothing leads to {where}")
-        from planners import _search_kernels as kernels
+        from planners import _field_kernels as kernels
 
         back = kernels.walk_back(self._values, flat[0], *self._arguments())
         return make_path(
@@ -165,7 +165,7 @@ def dijkstra(
         raise ArgumentError(f"the limit of a search must be a number of metres, 0 or more, not {limit!r}")
     start = np.unique(cells_to_flat(graph, sources, "start"))
     wanted = np.empty(0, np.int64) if goals is None else cells_to_flat(graph, goals, "goal")
-    from planners import _search_kernels as kernels
+    from planners import _field_kernels as kernels
 
     begin = time.perf_counter()
     steps: NDArray[np.int32] | None = None

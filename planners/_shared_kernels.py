@@ -93,3 +93,11 @@ def gauge(base, move, k):
         if most < least:
             least = most
     return least
+
+
+@njit(cache=True, nogil=True)
+def move_cost(a, b, k, lengths, terrain):
+    """Return what the move ``k`` from the flat cell ``a`` to ``b`` costs; no terrain is one everywhere."""
+    if terrain.shape[0] == 0:
+        return lengths[k]
+    return lengths[k] * (0.5 * (terrain[a] + terrain[b]))
