@@ -179,3 +179,182 @@ def block_around(cells, ball, first, inner, pad, strides, free):
                 here += (x + pad[i]) * strides[i]
             if inside:
                 free[here] = 0
+
+
+@njit(cache=True, nogil=True)
+def _to_body(v, frame, half, grain, normals, heights, edges):
+    """Return the distance of the point ``v`` (n,) to a convex body around the origin, 0 inside.
+
+    The body is a box of half edges ``half`` (n,) along the rows of ``frame`` (n, n), where what is less
+    than ``grain`` outside counts as on its border; or, where ``half`` is empty, the polytope
+    {x : normals x <= heights} of unit normals with the ``edges`` (E, 2, n). The nearest point of a
+    polytope is the foot of the perpendicular on a face, if that foot is in the polytope, or on an edge.
+    """
+    n = v.shape[0]
+    total = 0.0
+    if half.shape[0] > 0:
+        for i in range(n):
+            s = 0.0
+            for j in range(n):
+                s += frame[i, j] * v[j]
+            s = abs(s) - half[i]
+            if s > grain:
+                total += s * s
+        return np.sqrt(total)
+    outside = False
+    for f in range(heights.shape[0]):
+        s = -heights[f]
+        for j in range(n):
+            s += normals[f, j] * v[j]
+        if s > 0.0:
+            outside = True
+            foot = True
+            for g in range(heights.shape[0]):
+                t = -heights[g]
+                for j in range(n):
+                    t += normals[g, j] * (v[j] - s * normals[f, j])
+                if g != f and t > 0.0:
+                    foot = False
+                    break
+            if foot:
+                return s
+    if not outside:
+        return 0.0
+    best = np.inf
+    for e in range(edges.shape[0]):
+        along = 0.0
+        length = 0.0
+        for j in range(n):
+            d = edges[e, 1, j] - edges[e, 0, j]
+            along += d * (v[j] - edges[e, 0, j])
+            length += d * d
+        t = min(max(along / length, 0.0), 1.0)
+        total = 0.0
+        for j in range(n):
+            d = v[j] - edges[e, 0, j] - t * (edges[e, 1, j] - edges[e, 0, j])
+            total += d * d
+        best = min(best, total)
+    return np.sqrt(best)
+
+
+@njit(cache=True, nogil=True)
+def to_body(points, frame, half, grain, normals, heights, edges, out):
+    """Write the distance (N,) of each of ``points`` (N, n) to a body around the origin, see :func:`_to_body`."""
+    for i in range(points.shape[0]):
+        out[i] = _to_body(points[i], frame, half, grain, normals, heights, edges)
+
+
+@njit(cache=True, nogil=True)
+def _to_box(x, boxes, node):
+    """Return the squared distance of ``x`` (n,) to the box of a node, infinite where the node is empty."""
+    total = 0.0
+    for i in range(x.shape[0]):
+        d = max(boxes[node, 0, i] - x[i], x[i] - boxes[node, 1, i])
+        if d > 0.0:
+            total += d * d
+    return total
+
+
+@njit(cache=True, nogil=True)
+def nearest_body(
+    points, centres, leaf, boxes, covering, inradius, frame, half, grain, normals, heights, edges, limit, enough, out
+):
+    """Write the distance (N,) of each of ``points`` (N, n) to the nearest of equal bodies; inf from ``limit`` on.
+
+    The bodies lie around ``centres`` (M, n), which are in runs of ``leaf`` the leaves of a binary tree:
+    the node k has the children 2 k and 2 k + 1 and the box ``boxes[k]`` (2, n) around its centres. No
+    body is nearer than its centre less ``covering``, and none farther than its centre less
+    ``inradius``. A distance below ``enough`` need only be known to be that.
+    """
+    n = points.shape[1]
+    first_leaf = boxes.shape[0] // 2
+    stack = np.empty(128, np.int64)
+    away = np.empty(128, np.float64)
+    v = np.empty(n, np.float64)
+    last = -1
+    for q in range(points.shape[0]):
+        x = points[q]
+        best = limit
+        if last >= 0:
+            # Neighbouring points come one after the other: the last one's body is a good bound.
+            for i in range(n):
+                v[i] = x[i] - centres[last, i]
+            best = min(best, _to_body(v, frame, half, grain, normals, heights, edges))
+        reach = (best + covering) * (best + covering)
+        stack[0] = 1
+        away[0] = _to_box(x, boxes, 1)
+        top = 1
+        while top > 0 and best >= enough and best > 0.0:
+            top -= 1
+            if away[top] >= reach:
+                continue
+            node = stack[top]
+            if node < first_leaf:
+                near, far = 2 * node, 2 * node + 1
+                to_near, to_far = _to_box(x, boxes, near), _to_box(x, boxes, far)
+                if to_far < to_near:
+                    near, far = far, near
+                    to_near, to_far = to_far, to_near
+                if to_far < reach:
+                    stack[top] = far
+                    away[top] = to_far
+                    top += 1
+                if to_near < reach:
+                    stack[top] = near
+                    away[top] = to_near
+                    top += 1
+                continue
+            begin = (node - first_leaf) * leaf
+            for c in range(begin, min(begin + leaf, centres.shape[0])):
+                squared = 0.0
+                for i in range(n):
+                    v[i] = x[i] - centres[c, i]
+                    squared += v[i] * v[i]
+                if squared >= reach:
+                    continue
+                found = np.sqrt(squared) - inradius
+                if found >= enough or found < 0.0:
+                    found = _to_body(v, frame, half, grain, normals, heights, edges)
+                if found < best:
+                    best = found
+                    last = c
+                    reach = (best + covering) * (best + covering)
+        out[q] = best if best < limit else np.inf
+
+
+@njit(cache=True, nogil=True)
+def block_around_boxes(centres, at, reach, bound, columns, half, grain, first, inner, pad, strides, free):
+    """Block all cells of the window that are nearer than ``bound`` to one of equal boxes.
+
+    All has three dimensions, the first one of no extent in the plane: ``centres`` (M, 3) of the boxes
+    and the basis ``columns`` (3, 3) are in the boxes' own axes, ``at`` (M, 3) are the same centres as
+    multiples of the basis, and ``reach`` (3,) the indices around them that may be near.
+    """
+    low = np.empty(3, np.int64)
+    high = np.empty(3, np.int64)
+    ax, ay, az = columns[0, 2], columns[1, 2], columns[2, 2]
+    for c in range(centres.shape[0]):
+        for i in range(3):
+            low[i] = max(np.int64(np.ceil(at[c, i] - reach[i])), first[i])
+            high[i] = min(np.int64(np.floor(at[c, i] + reach[i])), first[i] + inner[i] - 1)
+        for i in range(low[0], high[0] + 1):
+            for j in range(low[1], high[1] + 1):
+                x = columns[0, 0] * i + columns[0, 1] * j - centres[c, 0]
+                y = columns[1, 0] * i + columns[1, 1] * j - centres[c, 1]
+                z = columns[2, 0] * i + columns[2, 1] * j - centres[c, 2]
+                row = (i - first[0] + pad[0]) * strides[0] + (j - first[1] + pad[1]) * strides[1] + pad[2] - first[2]
+                for k in range(low[2], high[2] + 1):
+                    if free[row + k] == 0:
+                        continue
+                    dx = abs(x + ax * k) - half[0]
+                    dy = abs(y + ay * k) - half[1]
+                    dz = abs(z + az * k) - half[2]
+                    total = 0.0
+                    if dx > grain:
+                        total += dx * dx
+                    if dy > grain:
+                        total += dy * dy
+                    if dz > grain:
+                        total += dz * dz
+                    if np.sqrt(total) < bound:
+                        free[row + k] = 0

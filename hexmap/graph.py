@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap._graph_clearance import Obstacles
+from hexmap._graph_clearance import Obstacles, To, check_to
 from hexmap._graph_moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
 from hexmap._graph_window import CHUNK, cells_in_box, window_of_box
 from hexmap.errors import ArgumentError
@@ -494,13 +494,11 @@ class LatticeGraph:
         """Return the cells (M, n) that clearance is measured from.
 
         All occupied cells of a map or a list of voxels; of blocked cells only those on the surface,
-        which are the ones that can be nearest. Graphs made from this one by ``with_...`` keep them.
+        which are the ones that can be nearest. Graphs made from this one by ``with_...`` keep them. In
+        a graph of a :class:`~hexmap.worlds.GridWorld` clearance "to the cell" is measured from the
+        world's own cells in their place.
         """
         return self._obstacles.find(self)
-
-    def _distances(self, flat: NDArray[np.int64], limit: float = math.inf) -> NDArray[np.float64]:
-        """Return the distance (M,), metres, of cells' centres to the nearest obstacle's; inf beyond ``limit``."""
-        return self._obstacles.distances(self, flat, limit)
 
     def _inner_flat(self) -> NDArray[np.int64]:
         """Return the flat positions of all cells inside the padding."""
@@ -509,45 +507,60 @@ class LatticeGraph:
             flat = (flat[:, None] + (np.arange(s) + p) * stride).ravel()
         return flat
 
-    def clearance(self) -> NDArray[np.float64]:
-        """Return for each cell (size,) the distance, metres, of its centre to the nearest obstacle's centre.
+    def clearance(self, to: To = "centre") -> NDArray[np.float64]:
+        """Return for each cell (size,) the distance, metres, of its centre to the nearest obstacle.
 
-        Exact for free cells. Obstacles on the surface have 0, those inside a solid their distance to its
-        surface, all cells have inf where there is no obstacle, and the padding has 0. What an obstacle
-        measures is not taken off: an occupied cell may hold a point up to ``lattice.covering_radius``
-        from its centre.
+        Exact for free cells. All cells have inf where there is no obstacle, and the padding has 0.
+
+        Args:
+            to: "centre" for the distance to the nearest obstacle's centre. What an obstacle measures is
+                not taken off: an occupied cell may hold a point up to ``lattice.covering_radius`` from
+                its centre. Obstacles on the surface have 0, those inside a solid their distance to
+                its surface. "cell" for the distance to the nearest point of any obstacle, of which
+                each fills its closed Voronoi cell, and in a graph of a
+                :class:`~hexmap.worlds.GridWorld` of the world's own blocked squares or cubes, also of
+                those that hold no centre. Cells whose centre is in or on an obstacle have 0.
+
+        Raises:
+            ArgumentError: ``to`` is neither.
         """
+        check_to(to)
         out = np.zeros(self.size, np.float64)
         inner = self._inner_flat()
-        out[inner] = self._distances(inner)
+        out[inner] = self._obstacles.distances(self, inner, to=to)
         return out
 
-    def clearance_at(self, flat: ArrayLike) -> NDArray[np.float64]:
-        """Return the distance (M,), metres, of the centres of the cells ``flat`` (M,) to the nearest obstacle's centre.
+    def clearance_at(self, flat: ArrayLike, to: To = "centre") -> NDArray[np.float64]:
+        """Return the distance (M,), metres, of the centres of the cells ``flat`` (M,) to the nearest obstacle.
 
-        What :meth:`clearance` holds there, without the field: the least of a path needs its cells alone.
+        What :meth:`clearance` holds there, to the obstacle's centre or cell, without the field: the
+        least of a path needs its cells alone.
 
         Raises:
-            ArgumentError: a position is outside the array.
+            ArgumentError: a position is outside the array, or ``to`` is neither "centre" nor "cell".
         """
+        check_to(to)
         at = np.asarray(flat)
         self.flat_to_index(at)
-        return self._distances(at.astype(np.int64))
+        return self._obstacles.distances(self, at.astype(np.int64), to=to)
 
-    def with_clearance(self, radius: float) -> LatticeGraph:
+    def with_clearance(self, radius: float, to: To = "centre") -> LatticeGraph:
         """Return the graph for a robot of a radius, metres: cells nearer than that to an obstacle are blocked.
 
-        The distance is that of the two centres, see :meth:`clearance`; a cell at exactly the radius
-        (to 1e-9 of it) stays free. Moves are not checked between their ends but for what they
-        sweep: their middle may be nearer by a fraction of a cell.
+        The distance is that to the obstacle's centre or cell, see :meth:`clearance`; a cell at exactly
+        the radius (to 1e-9 of it) stays free. A robot at a free cell's centre may overlap an obstacle
+        where the distance is that to centres; where it is that to cells, it does not.
+        Moves are not checked between their ends but for what they sweep: their middle may be nearer
+        by a fraction of a cell.
 
         Raises:
-            ArgumentError: the radius is not a number of 0 or more.
+            ArgumentError: the radius is not a number of 0 or more, or ``to`` is neither "centre" nor "cell".
         """
+        check_to(to)
         if not (math.isfinite(radius) and radius >= 0.0):
             raise ArgumentError(f"a radius must be a number of metres, 0 or more, not {radius!r}")
         free = self.free.copy()
-        self._obstacles.block_near(self, radius, free, _BALL)
+        self._obstacles.block_near(self, radius, free, _BALL, to)
         return self._derived(free, self.terrain)
 
     # ------------------------------------------------------------------ terrain
@@ -579,7 +592,7 @@ class LatticeGraph:
                 raise ArgumentError(f"the terrain must be ({self.size},) or {inner}, not {array.shape}")
         return self._with_values(nodes, values)
 
-    def with_soft_clearance(self, reach: float, weight: float) -> LatticeGraph:
+    def with_soft_clearance(self, reach: float, weight: float, to: To = "centre") -> LatticeGraph:
         """Return the graph with costs that keep paths off walls.
 
         A cell at distance d < ``reach`` from the nearest obstacle (see :meth:`clearance`) costs
@@ -588,14 +601,16 @@ class LatticeGraph:
         Args:
             reach: metres within which an obstacle is felt.
             weight: how much more a cell right at an obstacle costs; 0 changes nothing.
+            to: whether d is the distance to the obstacle's "centre" or "cell".
 
         Raises:
-            ArgumentError: the reach is not positive or the weight negative.
+            ArgumentError: the reach is not positive, the weight negative, or ``to`` neither of the two.
         """
+        check_to(to)
         if not (math.isfinite(reach) and reach > 0.0 and math.isfinite(weight) and weight >= 0.0):
             raise ArgumentError(f"a soft clearance takes a reach > 0 and a weight >= 0, not {reach!r} and {weight!r}")
         nodes = np.flatnonzero(self.free)
-        near = np.maximum(1.0 - self._distances(nodes, reach) / reach, 0.0)
+        near = np.maximum(1.0 - self._obstacles.distances(self, nodes, reach, to) / reach, 0.0)
         values = 1.0 + weight * near**2
         return self._with_values(nodes, values if self.terrain is None else values * self.terrain[nodes])
 

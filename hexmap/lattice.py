@@ -143,7 +143,11 @@ class Lattice:
             raise LatticeError(f"the basis of a lattice must be (2, 2) or (3, 3), not {B.shape}")
         if not np.isfinite(B).all():
             raise LatticeError("the basis of a lattice must be finite")
-        lengths = np.linalg.norm(B, axis=0)
+        with np.errstate(over="ignore"):
+            lengths = np.linalg.norm(B, axis=0)
+        if not np.isfinite(lengths).all() or ((lengths == 0.0) & B.any(axis=0)).any():
+            longest = np.abs(B).max(axis=0).tolist()
+            raise LatticeError(f"the columns of a lattice's basis are too short or too long to measure: {longest} m")
         if (lengths == 0.0).any() or abs(np.linalg.det(B / lengths)) < 1e-6:
             raise LatticeError("the columns of a lattice's basis must be independent")
         B.setflags(write=False)

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hexmap.cli import main
-from hexmap.errors import FileAccessError, FormatError
-from hexmap.files import save_map
+from hexmap.cli import main, planning
+from hexmap.errors import FileAccessError, FormatError, LatticeError
+from hexmap.files import load_map, save_map
 from hexmap.graph import LatticeGraph
 from hexmap.lattice import Lattice
 from hexmap.maps import Level, Map
 from hexmap.voxels import VoxelList
+from hexmap.worlds import BLOCKED, open_world
 from planners import astar
 from planners.path_files import read_path, write_path
 from tests.lattices import CASES, Case
@@ -32,6 +33,9 @@ def wrong_usage(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and err.startswith("hexmap: ") and "plan --help" in err
     return err
+
+
+PAST = ("--from", -1.5, -0.5, "--to", 1.5, -0.5)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +73,11 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
     assert call(*arguments, "-o", csv, "--picture", png) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].startswith(f"{folder / 'rooms.parquet'}: hexagonal lattice at 0.1 m, 6 moves, window of ")
-    assert out[1].startswith("astar from (-1.5, -0.5) to (1.5, -0.5): length ") and "least clearance 0.1" in out[1]
+    assert (
+        out[1].startswith("astar from (-1.5, -0.5) to (1.5, -0.5): length ")
+        and "m from occupied cells, " in out[1]
+        and out[1].endswith(" cells")
+    )
     assert "expansions" in out[2] and out[3].startswith(f"wrote {csv}") and out[4].startswith(f"wrote {png}")
     table = read_path(csv)
     lattice = Lattice.named("A2", 0.1)
@@ -109,7 +117,7 @@ def test_maps_of_others(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert "at 0.25 m" in capsys.readouterr().out
     for lattice in ("Z3", "D3", "D3*"):
         arguments = ("plan", folder / "rooms.3dmap.gz", "--from", 1, 3, 1, "--to", 7, 3, 1, "--lattice", lattice)
-        assert call(*arguments, "-o", csv, "--picture", tmp_path / "space.png") == 0
+        assert call(*arguments, "--resolution", 0.5, "-o", csv, "--picture", tmp_path / "space.png") == 0
         assert csv.read_text().startswith("x,y,z,a,b,c,length\n")
         assert read_path(csv).points[:, 2].max() > 3.49
     assert (tmp_path / "space.png").stat().st_size > 5_000
@@ -145,6 +153,142 @@ def test_no_path_says_why_and_what_may_help(folder: Path, tmp_path: Path, capsys
         assert not list(tmp_path.iterdir())
 
 
+def gap(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """Return the least distance of points (M, n) to boxes between corners (K, n)."""
+    off = np.maximum(np.maximum(low - points[:, None], points[:, None] - high), 0.0)
+    return float(np.sqrt((off**2).sum(axis=2)).min())
+
+
+def printed_clearance(out: str) -> float:
+    return float(out.split("least clearance ")[1].split(" m from occupied cells")[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "lattice", "ends"),
+    [
+        ("rooms.map", "A2", ("--from", 2, 2.5, "--to", 8, 2.5)),
+        ("rooms.map", "Z2", ("--from", 2, 2.5, "--to", 8, 2.5)),
+        ("rooms.yaml", "A2", ("--from", -1.5, -0.5, "--to", 0.7, -0.5)),
+        ("rooms.3dmap.gz", "D3", ("--from", 1, 3, 1, "--to", 7, 3, 1)),
+        ("rooms.3dmap.gz", "D3*", ("--from", 1, 3, 1, "--to", 7, 3, 1)),
+    ],
+)
+def test_the_disc_of_the_robot_keeps_off_the_cells_of_the_source(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, lattice: str, ends: tuple[object, ...]
+) -> None:
+    world = open_world(folder / name)
+    blocked = np.argwhere(world.states == BLOCKED).astype(float)
+    low, high = world.centre(blocked - 0.5), world.centre(blocked + 0.5)
+    csv = tmp_path / "path.csv"
+    arguments = ("plan", folder / name, *ends, "--lattice", lattice, "-o", csv, "--resolution", 0.5 * world.cell)
+    radii = (0.0, 0.05, 0.1) if name == "rooms.yaml" else (0.0, 0.3, 0.5, 0.62)
+    for radius in radii:
+        assert call(*arguments, "--radius", radius) == 0
+        least = gap(read_path(csv).points, low, high)
+        assert least >= radius - 1e-9
+        # What is printed counts the cells between as well, which a path of single moves has not.
+        assert printed_clearance(capsys.readouterr().out) == pytest.approx(least, abs=0.0051)
+
+
+def test_the_disc_of_the_robot_keeps_off_the_cells_of_ones_own_map(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv = tmp_path / "path.csv"
+    level = load_map(folder / "rooms.parquet").levels[0]
+    walls = level.hits.centres()
+    corners = level.lattice.cell.vertices
+    for radius in (0.1, 0.15, 0.2):
+        assert call("plan", folder / "rooms.parquet", *PAST, "--radius", radius, "-o", csv) == 0
+        points = read_path(csv).points
+        # Edge by edge; the centres of free cells are outside of all hexagons.
+        least = math.inf
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            off = points[:, None] - walls - a
+            along = np.clip(off @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+            least = min(least, float(np.linalg.norm(off - along[..., None] * (b - a), axis=2).min()))
+        assert least >= radius - 1e-9
+        assert printed_clearance(capsys.readouterr().out) == pytest.approx(least, abs=0.0051)
+
+
+def test_clearance_changes_the_path_at_its_defaults(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv = tmp_path / "path.csv"
+    game = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1, "-o", csv)
+    assert call(*game) == 0
+    before = capsys.readouterr().out
+    assert call(*game, "--clearance-weight", 5) == 0
+    after = capsys.readouterr().out
+    assert float(after.split("cost ")[1].split(",")[0]) > float(before.split("cost ")[1].split(",")[0]) + 0.1
+    assert call(*game, "--clearance-weight", 1e6, "--clearance-reach", 5) == 0
+    assert "e+06, turning" in capsys.readouterr().out
+
+
+def test_the_default_resolution(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1, "--cell", 1) == 0
+    assert "hexagonal lattice at 0.5 m on cells of 1 m, " in capsys.readouterr().out
+    assert call("plan", folder / "rooms.3dmap.gz", "--from", 1, 3, 1, "--to", 2, 3, 1) == 0
+    assert "face-centred cubic lattice at 1 m on cells of 1 m, " in capsys.readouterr().out
+
+
+def test_a_lattice_too_small_or_large_for_floats_says_so() -> None:
+    for resolution in (1e-300, 1e300):
+        with pytest.raises(LatticeError, match=r"too short or too long to measure: \[.*e[-+](300|299)"):
+            Lattice.named("A2", resolution)
+    with pytest.raises(LatticeError, match="independent"):
+        Lattice([[1.0, 0.0], [0.0, 0.0]])
+
+
+def test_what_is_counted(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = ("plan", folder / "rooms.parquet", "--from", -1.5, -0.5)
+    for more, word in (((), "cell"), (("--shortcut",), "point"), (("--planner", "any-angle"), "point")):
+        csv = tmp_path / "p.csv"
+        assert call(*own, "--to", -1.5, -0.5, *more, "-o", csv) == 0
+        out = capsys.readouterr().out.splitlines()
+        assert out[1].endswith(f", 1 {word}") and "(1 point, metres)" in out[3]
+        assert call(*own, "--to", 1.5, -0.5, *more, "-o", csv) == 0
+        out = capsys.readouterr().out.splitlines()
+        assert out[1].endswith(f", {len(read_path(csv).points)} {word}s")
+
+
+def test_no_image_of_a_ros_map_is_overwritten(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from matplotlib.image import imsave
+
+    (tmp_path / "images").mkdir()
+    yaml = (folder / "rooms.yaml").read_text()
+    ends = ("--from", -1.5, -0.5, "--to", 1, 0.5)
+    for k, name in enumerate(("img.png", "images/other.png", str(tmp_path / "absolute.png"), '"quoted.png"  # this')):
+        image = tmp_path / name.split('"')[1 if name[0] == '"' else 0]
+        imsave(image, np.full((20, 40, 3), 254, np.uint8))
+        kept = image.read_bytes()
+        map = tmp_path / f"map{k}.yaml"
+        map.write_text(yaml.replace("rooms.pgm", name))
+        assert f"--picture would overwrite what is read: {image}" in failure(
+            capsys, "plan", map, *ends, "--picture", image
+        )
+        link = tmp_path / f"link{k}.png"
+        link.symlink_to(image)
+        assert "--picture would overwrite" in failure(capsys, "plan", map, *ends, "--picture", link)
+        assert image.read_bytes() == kept
+        assert call("plan", map, *ends, "--picture", tmp_path / f"map{k}.png") == 0
+        assert image.read_bytes() == kept
+
+
+def test_memory(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    found = planning._available_memory()
+    assert found > 2**20
+
+    def unreadable(*arguments: object, **more: object) -> str:
+        raise PermissionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(planning.Path, "read_text", unreadable)
+        assert planning._available_memory() > 2**20
+    monkeypatch.setattr(planning, "_available_memory", lambda: 2000.0)
+    text = failure(capsys, "plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
+    assert "GiB of 0.0 that are available); take a coarser --resolution" in text
+
+
 def test_bad_input_is_one_line_and_loses_nothing(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,6 +297,9 @@ def test_bad_input_is_one_line_and_loses_nothing(
     bad = tmp_path / "bad.map"
     bad.write_text("type octile\nheight 3\nwidth 3\nmap\n...\n")
     own, game, space = folder / "rooms.parquet", folder / "rooms.map", folder / "rooms.3dmap.gz"
+    (folder / "rooms.scen").write_text("version 1\n")
+    yaml = (folder / "rooms.yaml").read_text()
+    (folder / "gone.yaml").write_text("# no such image\n" + yaml.replace("rooms.pgm", "gone.pgm"))
     way = ("--from", -1.5, 0, "--to", 1.5, 0)
     cases = [
         ((tmp_path / "no.map", *way), "no.map"),
@@ -165,16 +312,26 @@ def test_bad_input_is_one_line_and_loses_nothing(
         ((own, *way, "--level", 7), "7"),
         ((game, *way, "--lattice", "D3"), "dimension 2"),
         ((game, *way, "--lattice", "hexagone"), "hexagone"),
-        ((game, *way, "--resolution", -1), "-1"),
-        ((game, *way, "--cell", 0), "0"),
-        ((folder / "rooms.yaml", *way, "--cell", 1), "cell"),
+        ((game, *way, "--resolution", -1), "--resolution must be 1e-06 to 1000000 m, not -1"),
+        ((game, *way, "--resolution", 1e-300), "--resolution must be 1e-06 to 1000000 m, not 1e-300"),
+        ((game, *way, "--cell", 0), "--cell must be 1e-06 to 1000000 m, not 0"),
+        ((game, *way, "--cell", 1e-300), "--cell must be 1e-06 to 1000000 m, not 1e-300"),
+        ((folder / "rooms.yaml", *way, "--cell", 1), "cells are; a cell of 1 m cannot change that; leave out --cell"),
+        ((folder / "rooms.scen", *way), "name the map itself"),
+        ((folder / "gone.yaml", *way), f"gone.yaml, line 2: the image {folder / 'gone.pgm'}: no such file"),
+        ((game, "--from", 1, 1, "--to", 1e300, 1), "--to: (1e+300, 1) m is farther away"),
+        ((own, *way, "--min-hits", 0), "--min-hits must be 1 to 2147483647, not 0"),
+        ((own, *way, "--min-ratio", "nan"), "--min-ratio must be 0 to 1, not nan"),
         ((space, *way), "dimension 3; --from takes 3 numbers, not 2"),
         ((own, "--from", 0, 0, 0, "--to", 1, 1), "dimension 2; --from takes 2 numbers, not 3"),
         ((space, "--from", 1, 1, 1, "--to", 2, 2, 2, "--resolution", 1e-5), "coarser --resolution"),
-        ((own, *way, "--radius", -1), "-1"),
-        ((own, *way, "--radius", "inf"), "inf"),
-        ((own, *way, "--weight", 0.5), "0.5"),
-        ((own, *way, "--clearance-weight", -2), "-2"),
+        ((own, *way, "--radius", -1), "--radius must be 0 to 1000000 m, not -1"),
+        ((own, *way, "--radius", "inf"), "--radius must be 0 to 1000000 m, not inf"),
+        ((own, *way, "--weight", 0.5), "--weight must be 1 to 1000000, not 0.5"),
+        ((own, *way, "--weight", 1e308), "--weight must be 1 to 1000000, not 1e+308"),
+        ((own, *way, "--clearance-weight", -2), "--clearance-weight must be 0 to 1000000, not -2"),
+        ((own, *way, "--clearance-weight", 1e308, "--clearance-reach", 3), "--clearance-weight must be 0 to 1000000"),
+        ((own, *way, "--clearance-weight", 1, "--clearance-reach", 0), "--clearance-reach must be"),
         ((own, *way, "--neighbourhood", 7), "7"),
         ((own, *way, "-o", tmp_path / "p.txt"), ".txt"),
         ((own, *way, "-o", tmp_path / "no" / "p.csv"), "folder"),
@@ -198,14 +355,22 @@ def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((own, "--from", 1, "--to", 1, 1), "two or three finite numbers of metres, not '1'"),
         ((own, "--from", 1, 2, 3, 4, "--to", 1, 1), "'1,2,3,4'"),
         ((own, "--from", "here", "--to", 1, 1), "'here'"),
-        ((own, "--from=nan,0", "--to", 1, 1), "'nan,0'"),
+        ((own, "--from=nan,0", "--to", 1, 1), "'--from': a place takes finite numbers of metres, not nan"),
+        ((own, "--from", 0, 0, "--to", 1, "nan"), "'--to': a place takes finite numbers of metres, not nan"),
+        ((own, "--from", 0, "-Infinity", "--to", 1, 1), "'--from': a place takes finite numbers of metres, not -Inf"),
+        ((own, "--from", 0, 0, "--to", 1, 1e999), "'--to': a place takes finite numbers of metres, not inf"),
+        ((own, *way, "--from", 1, 0), "--from is given twice"),
+        ((own, "--to=1,0", *way), "--to is given twice"),
         ((own, "--from", 0, "x", "--to", 1, 1), "x"),
         ((own, *way, "--planner", "magic"), "magic"),
         ((own, *way, "--unknown", "maybe"), "maybe"),
         ((own, *way, "--neighbourhood", "all"), "'all'"),
         ((own, *way, "--weight", 2, "--bidirectional"), "--bidirectional"),
         ((own, *way, "--planner", "dijkstra", "--nearest"), "--nearest"),
-        ((own, *way, "--planner", "any-angle", "--shortcut"), "--shortcut"),
+        (
+            (own, *way, "--planner", "any-angle", "--shortcut"),
+            "--shortcut: a path of any angle is straightened already",
+        ),
         ((own, *way, "--planner", "canonical", "--clearance-weight", 1), "--clearance-weight"),
         ((own, *way, "--clearance-reach", 1), "--clearance-weight"),
         ((own, *way, "--whole"), "--picture"),

@@ -17,7 +17,7 @@ from hexmap.lattice import Lattice
 from hexmap.maps import Level, Map, StateRule
 from hexmap.voxels import VoxelList
 from tests import reference
-from tests.lattices import CASES, SHEARED, Case
+from tests.lattices import CASES, PART, SHEARED, Case
 
 GRAPH_CASES = [*CASES, *SHEARED]
 
@@ -446,3 +446,160 @@ def test_terrain_and_soft_clearance(case):
     assert np.allclose(graph.with_soft_clearance(reach, 3.0).terrain[nodes], expected)
     assert np.allclose(by_function.with_soft_clearance(reach, 3.0).terrain[nodes], expected * values)
     assert graph.terrain is None and graph.with_soft_clearance(reach, 0.0).least_terrain == 1.0
+
+
+def polytope_distance(points: np.ndarray, normals: np.ndarray, heights: np.ndarray) -> np.ndarray:
+    """The distance of points (N, n) to {x : normals x <= heights} (unit normals), by the theorem of Kuhn and Tucker.
+
+    The nearest point lies in the intersection of 0 to n faces' planes, so the least distance over all such
+    feet that are in the polytope is it.
+    """
+    n = points.shape[1]
+    best = np.full(len(points), np.inf)
+    for m in range(n + 1):
+        for chosen in itertools.combinations(range(len(heights)), m):
+            A, b = normals[list(chosen)], heights[list(chosen)]
+            feet = points - (points @ A.T - b) @ np.linalg.pinv(A, rcond=1e-9).T if m else points
+            inside = (feet @ normals.T <= heights + 1e-9 * heights.max()).all(axis=1)
+            best = np.where(inside, np.minimum(best, np.linalg.norm(points - feet, axis=1)), best)
+    return best
+
+
+def to_cells(lattice: Lattice, centres: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
+    """The distance of points (N, n) to the nearest of the closed Voronoi cells around others, all tried."""
+    v = lattice.faces @ lattice.basis.T
+    lengths = np.linalg.norm(v, axis=1)
+    differences, back = np.unique(
+        np.round((centres[:, None] - obstacles).reshape(-1, lattice.dim), 9), axis=0, return_inverse=True
+    )
+    away = polytope_distance(differences, v / lengths[:, None], lengths / 2)
+    return away[back.ravel()].reshape(len(centres), -1).min(axis=1)
+
+
+@pytest.mark.parametrize("case", GRAPH_CASES, ids=str)
+def test_clearance_to_cells_is_exact(case, monkeypatch):
+    low, states = random_free(case, seed=8, blocked=0.06)
+    states[:3] = True
+    states[-2:] = False
+    graph = LatticeGraph.from_states(case.lattice, low, states)
+    cells = np.argwhere(np.ones(states.shape, bool)) + low
+    flat = graph.index_to_flat(cells)
+    x, free = case.lattice.centres(cells), states.ravel()
+    away = to_cells(case.lattice, x, x[~free])
+    found, to_centres = graph.clearance("cell"), graph.clearance()
+    scale = case.lattice.resolution
+    assert np.allclose(found[flat], away, rtol=1e-7, atol=1e-7 * scale)
+    # Also beneath the surface of the wall.
+    assert (found[flat[~free]] == 0.0).all() and (found[flat[free]] > 0.0).all()
+    assert found.shape == (graph.size,) and (np.delete(found, flat) == 0.0).all()
+    assert np.array_equal(graph.clearance_at(flat, to="cell"), found[flat])
+    assert (found[flat] <= to_centres[flat]).all()
+    slack = 1e-9 * scale
+    assert (found[flat[free]] >= to_centres[flat[free]] - case.lattice.covering_radius - slack).all()
+    assert (found[flat[free]] <= to_centres[flat[free]] - case.lattice.inradius + slack).all()
+    # At exactly a distance that there is, and between them.
+    radii = np.unique(np.round(found[flat[free]], 12))
+    for radius in (0.0, *radii[:: max(len(radii) // 5, 1)], 0.7 * scale, 1.9 * scale):
+        wide = graph.with_clearance(radius, to="cell")
+        assert np.array_equal(wide.free[flat] != 0, free & ~(found[flat] < radius * (1 - 1e-9)))
+        monkeypatch.setattr("hexmap.graph._BALL", 0)  # the search tree instead
+        assert np.array_equal(graph.with_clearance(radius, to="cell").free, wide.free)
+        monkeypatch.undo()
+        assert np.array_equal(wide.clearance("cell"), found)
+    for radius in (1e3 * scale, 1e200):
+        assert not graph.with_clearance(radius, to="cell").free.any()
+    assert (graph.free[flat] == free).all()
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_clearance_to_the_cells_of_each_kind_of_graph(case):
+    low, states = random_free(case, seed=5, blocked=0.1)
+    cells = np.argwhere(np.ones(states.shape, bool)) + low
+    x, free = case.lattice.centres(cells), states.ravel()
+    # The wall outside the box counts, as it does for centres.
+    walls = VoxelList.from_cells(np.concatenate([cells[~free], [low - 1]]), case.lattice)
+    opened = VoxelList.from_cells(cells[free], case.lattice)
+    away = to_cells(case.lattice, x, walls.centres())
+    scale = case.lattice.resolution
+    boxed = LatticeGraph.from_voxels(walls, low, low + states.shape - 1)
+    mapped = LatticeGraph.from_map(Map([Level(walls, opened)]))
+    for graph in (boxed, mapped):
+        flat = graph.index_to_flat(cells)
+        assert np.allclose(graph.clearance_at(flat, "cell"), away, rtol=1e-7, atol=1e-7 * scale)
+        safe = graph.with_clearance(0.8 * scale, "cell")
+        assert np.array_equal(safe.free[flat] != 0, (graph.free[flat] != 0) & (away >= 0.8 * scale))
+    # Of a list of free cells all others are obstacles, outside the window too.
+    listed = LatticeGraph.from_cells(opened)
+    around = np.argwhere(np.ones(np.array(states.shape) + 4, bool)) + low - 2
+    solid = around[~opened.contains(around)]
+    flat = listed.index_to_flat(opened.index)
+    away = to_cells(case.lattice, opened.centres(), case.lattice.centres(solid))
+    assert np.allclose(listed.clearance_at(flat, "cell"), away, rtol=1e-7, atol=1e-7 * scale)
+    # Obstacles that are not what is blocked: a free cell deep in one has no clearance.
+    middle = x.mean(axis=0)
+    near = lambda p: np.linalg.norm(p - middle, axis=1) < 1.9 * scale
+    graph = LatticeGraph.rasterise(
+        lambda p: np.ones(len(p), bool), case.lattice, x.min(axis=0), x.max(axis=0), occupied_at=near
+    )
+    flat = np.flatnonzero(graph.free)
+    inside = near(graph.centres(flat))
+    found = graph.clearance_at(flat, "cell")
+    assert inside.any() and (found[inside] == 0.0).all() and (found[~inside] > 0.0).all()
+    assert np.array_equal(graph.with_clearance(0.01 * scale, "cell").free[flat] != 0, found >= 0.01 * scale)
+
+
+def test_a_robot_kept_off_cells_does_not_overlap_them():
+    # The centre of a square's neighbour is half an edge from it.
+    states = np.ones((7, 7), np.uint8)
+    states[3, 3] = 0
+    graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], states)
+    found = graph.clearance("cell")[graph.index_to_flat([[4, 3], [4, 4], [6, 3], [6, 6], [6, 4]])]
+    assert found == pytest.approx([0.5, math.sqrt(0.5), 2.5, 2.5 * math.sqrt(2), math.hypot(2.5, 0.5)], rel=1e-14)
+    assert graph.with_clearance(0.5, to="cell").free.sum() == 48
+    assert graph.with_clearance(0.5001, to="cell").free.sum() == 44
+    assert graph.with_clearance(1.0, to="centre").free.sum() == 48
+    empty = LatticeGraph.from_states(Lattice.named("D3"), [0, 0, 0], np.ones((2, 2, 2), np.uint8))
+    assert np.isinf(empty.clearance("cell")[empty.free != 0]).all()
+    assert empty.with_clearance(5.0, "cell").free.sum() == 8 == empty.with_clearance(1e9, "cell").free.sum()
+    for wrong in (
+        lambda: graph.clearance("edge"),
+        lambda: graph.clearance_at([0], "edge"),
+        lambda: graph.with_clearance(1.0, "edge"),
+        lambda: graph.with_soft_clearance(1.0, 1.0, "edge"),
+    ):
+        with pytest.raises(ArgumentError, match="centre or cell, not to 'edge'"):
+            wrong()
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_soft_clearance_to_cells(case):
+    graph = LatticeGraph.from_states(case.lattice, *random_free(case, seed=4, blocked=0.1))
+    nodes = np.flatnonzero(graph.free)
+    reach = 1.7 * graph.lengths[0]
+    d = graph.clearance("cell")[nodes]
+    soft = graph.with_soft_clearance(reach, 3.0, to="cell")
+    assert soft.terrain is not None
+    assert np.allclose(soft.terrain[nodes], 1 + 3.0 * np.clip(1 - d / reach, 0, None) ** 2)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_many_obstacles_and_far_cells(case):
+    """The search tree with many leaves, against the nearest 60 centres."""
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(1)
+    side = max(int((3000 * PART) ** (1 / case.dim)), 4)
+    cells = np.argwhere(rng.random((2 * side, *[side] * (case.dim - 1))) < 0.25)
+    # All on one side: the other one is far from the lot.
+    walls = VoxelList.from_cells(cells[cells[:, 0] < side], case.lattice)
+    graph = LatticeGraph.from_voxels(walls, [0] * case.dim, [2 * side - 1] + [side - 1] * (case.dim - 1))
+    flat = rng.permutation(np.flatnonzero(graph.free))[: int(100 * PART)]
+    x = graph.centres(flat)
+    order = cKDTree(walls.centres()).query(x, k=min(60, len(walls)))[1]
+    v = case.lattice.faces @ case.lattice.basis.T
+    lengths = np.linalg.norm(v, axis=1)
+    differences = (x[:, None] - walls.centres()[order]).reshape(-1, case.dim)
+    away = polytope_distance(differences, v / lengths[:, None], lengths / 2).reshape(len(x), -1).min(axis=1)
+    found = graph.clearance_at(flat, "cell")
+    assert np.allclose(found, away, rtol=1e-7, atol=1e-7 * case.lattice.resolution)
+    assert np.array_equal(found, graph.clearance("cell")[flat])

@@ -393,7 +393,7 @@ HEAD = "type octile\nheight 2\nwidth 3\nmap\n"
         ("a.txt", "hello\n", r"of no known kind \(it begins with 'hello\\n'\); a map is a MovingAI .map"),
         ("a", b"\x00\x01", "of no known kind"),
         ("a.bt", "# Octomap OcTree file\n", "full OctoMap"),
-        ("a.scen", "version 1\n", "read_scenario"),
+        ("a.scen", "version 1\n", "scenario, the queries of a map; name the map"),
         ("a.pgm", "P5\n1 1\n255\n ", r"name the .yaml of map_server \(a.yaml\)"),
         ("a.png", b"\x89PNG\r\n\x1a\n", "picture alone"),
     ],
@@ -596,7 +596,7 @@ def test_what_is_wrong_with_an_image(tmp_path: Path, image: bytes, message: str)
 
 def test_a_ros_map_whose_image_is_missing_or_huge(tmp_path: Path) -> None:
     path = write(tmp_path / "m.yaml", YAML)
-    with pytest.raises(FileAccessError, match=r"m.pgm: no such file"):
+    with pytest.raises(FileAccessError, match=r"m.yaml, line 1: the image .*m.pgm: no such file"):
         open_world(path)
     with pytest.raises(TooLargeError, match="99999999 x 99999999 cells"):
         ros(tmp_path, b"P5\n99999999 99999999\n255\n")
@@ -721,7 +721,7 @@ def test_what_is_wrong_with_an_octomap(tmp_path: Path) -> None:
         with pytest.raises(FormatError, match=message) as caught:
             open_world(path)
         assert str(caught.value).startswith(str(path))
-    with pytest.raises(ArgumentError, match=r"cell=0.1 cannot change that"):
+    with pytest.raises(ArgumentError, match=r"a cell of 0.1 m cannot change that"):
         open_world(write(tmp_path / "a.bt", good), cell=0.1)
     # Two leaves in opposite corners of the key space.
     corners = bytes([0b01, 0b01000000])
@@ -937,3 +937,95 @@ def test_ros_maps_of_real_places(data_dir: Path, name: str) -> None:
 
 def test_dense_arrays_are_bounded_by_one_number() -> None:
     assert _grid.MAX_CELLS == 2_000_000_000
+
+
+# ---------------------------------------------------------------------- clearance to the squares themselves
+
+
+def to_squares(world: GridWorld, points: np.ndarray) -> np.ndarray:
+    """The distance of points (N, n) to the nearest of all blocked squares or cubes, turned back, each tried."""
+    c, s = math.cos(world.yaw), math.sin(world.yaw)
+    d = points - world.origin
+    d[:, :2] = d[:, :2] @ np.array([[c, -s], [s, c]])
+    best = np.full(len(points), np.inf)
+    for cell in np.argwhere(world.states == BLOCKED):
+        nearest = np.clip(d, cell * world.cell, (cell + 1) * world.cell)
+        best = np.minimum(best, np.linalg.norm(d - nearest, axis=1))
+    return best
+
+
+# Without the compiler one yaw and the plain lattices must do.
+@pytest.mark.parametrize("case", GRAPH_CASES if JIT else CASES, ids=str)
+@pytest.mark.parametrize("yaw", [0.0, 0.4, math.pi / 2] if JIT else [0.4])
+@pytest.mark.parametrize("scale", [0.4, 2.3])
+def test_clearance_is_that_to_the_squares_of_the_world(
+    case: Case, yaw: float, scale: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(3)
+    lattice = case.lattice
+    # Squares smaller than the lattice's cells, of which some hold no centre, and larger ones.
+    r = lattice.resolution
+    small, large = ((19, 15, 11), (8, 7, 6)) if JIT else ((9, 8, 7), (6, 5, 4))
+    shape = (small if scale < 1 else large)[: case.dim]
+    states = random_states(rng, shape)
+    states[rng.random(shape) < 0.4] = UNKNOWN
+    states[:3, :4] = BLOCKED  # a solid with an inside
+    world = GridWorld(states, scale * r, -3.71 * r * np.ones(case.dim), yaw=yaw)
+    graph = world.to_graph(lattice, unknown="free")
+    flat = graph._inner_flat()
+    x = graph.centres(flat)
+    found = graph.clearance("cell")
+    some = rng.permutation(len(flat))[: int(1500 * PART)]
+    assert np.allclose(found[flat[some]], to_squares(world, x[some]), rtol=1e-9, atol=1e-9 * r)
+    assert (found[flat][world._look_up(x, UNKNOWN) == BLOCKED] == 0.0).all()
+    assert np.array_equal(graph.clearance_at(flat, "cell"), found[flat])
+    free = graph.free[flat] != 0
+    for radius in (0.0, *rng.choice(found[flat[free]], 3 if JIT else 1), 0.3 * r, 1.1 * r):
+        wide = graph.with_clearance(radius, to="cell")
+        assert np.array_equal(wide.free[flat] != 0, free & ~(found[flat] < radius * (1 - 1e-9)))
+        assert wide.free.sum() == wide.free[flat].sum()
+        monkeypatch.setattr("hexmap.graph._BALL", 0)
+        assert np.array_equal(graph.with_clearance(radius, to="cell").free, wide.free)
+        monkeypatch.undo()
+        assert np.array_equal(wide.clearance_at(flat, "cell"), found[flat])
+    assert not graph.with_clearance(1e4 * r, to="cell").free.any()
+
+
+def test_distances_to_squares_in_plain_numbers() -> None:
+    states = np.ones((9, 9), np.uint8)
+    states[4, 4] = BLOCKED
+    world = GridWorld(states, 1.0, [-0.5, -0.5])
+    graph = world.to_graph(Lattice.named("Z2", resolution=0.5))
+    at = graph.index_to_flat([[8, 8], [9, 8], [7, 8], [7, 7], [10, 8], [10, 10], [2, 8]])
+    # Half a metre from the centre is the border, and the border has no clearance.
+    expected = [0.0, 0.0, 0.0, 0.0, 0.5, math.sqrt(0.5), 2.5]
+    assert graph.clearance_at(at, "cell") == pytest.approx(expected, rel=1e-14)
+    free = graph.with_clearance(0.5, "cell").free
+    assert free[at].tolist() == [0, 0, 0, 0, 1, 1, 1]
+    # Nothing is blocked: nothing is near, and what is outside the world is no obstacle.
+    empty = GridWorld(np.full((4, 3), UNKNOWN, np.uint8), 1.0, [0, 0]).to_graph(
+        Lattice.named("A2", resolution=0.4), unknown="free"
+    )
+    assert np.isinf(empty.clearance("cell")[empty.free != 0]).all()
+    assert np.array_equal(empty.with_clearance(3.0, "cell").free, empty.free)
+    # A square that no centre of a coarse lattice fell into is an obstacle all the same.
+    lone = GridWorld(states, 0.1, [0.03, 0.03]).to_graph(Lattice.named("Z2", resolution=0.35))
+    free = lone.free != 0
+    assert np.isinf(lone.clearance()[free]).all() and (lone.clearance("cell")[free] < 0.5).all()
+
+
+@pytest.mark.data
+@compiled
+@pytest.mark.parametrize("name", ["arena", "den520d"])
+def test_a_robot_in_a_published_map_touches_no_square(data_dir: Path, name: str) -> None:
+    world = open_world(data_dir / "planning" / "movingai" / f"{name}.map").turned(0.3)
+    graph = world.to_graph(Lattice.named("A2", resolution=0.5))
+    nodes = np.flatnonzero(graph.with_clearance(0.5, to="cell").free)
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    rim = 0.499999 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    some = graph.centres(nodes)[::7]
+    inside = ((some > world.low + 1) & (some < world.high - 1)).all(axis=1)
+    assert (world._look_up((some[inside][:, None] + rim).reshape(-1, 2), UNKNOWN) != BLOCKED).all()
+    # By centres alone it did.
+    near = np.flatnonzero(graph.with_clearance(0.5).free)
+    assert (graph.clearance_at(near, "cell") < 0.3).any()

@@ -30,8 +30,12 @@ if TYPE_CHECKING:
 
 Place = tuple[float, ...]
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_SEARCH_BYTES = 12  # a cell of the window while a search runs: state, cost, parent and some of the queue
+# Such as nan are matched too: they shall be refused as places, not taken for the name of a file.
+_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
+_SEARCH_BYTES = 20  # a cell of the window while a search runs: state, terrain, cost, parent and some of the queue
+_SIZES = 1e-6, 1e6  # metres that options may ask for
+_MOST_WEIGHT = 1e6  # beyond it costs drown the lengths of the paths
+_REACH = 0.5  # metres, of the clearance where none is given, and no less than two cells
 
 
 class Planner(StrEnum):
@@ -56,12 +60,18 @@ class PlanCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Join the numbers after --from and --to by commas before the parser takes -8 for an option."""
         joined: list[str] = []
+        seen: set[str] = set()
         rest = list(args)
         while rest:
             word = rest.pop(0)
             if word == "--":
                 joined += [word, *rest]
                 break
+            name = word.partition("=")[0]
+            if name in ("--from", "--to"):
+                if name in seen:
+                    raise typer.BadParameter(f"{name} is given twice", ctx=ctx)
+                seen.add(name)
             if word in ("--from", "--to"):
                 numbers = []
                 while rest and all(_NUMBER.fullmatch(part) for part in rest[0].rstrip(",").split(",")):
@@ -78,8 +88,11 @@ def _place(text: str) -> Place:
         numbers = tuple(float(part) for part in text.replace(",", " ").split())
     except ValueError:
         numbers = ()
-    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+    if len(numbers) not in (2, 3):
         raise typer.BadParameter(f"a place takes two or three finite numbers of metres, not {text!r}")
+    for word, number in zip(text.replace(",", " ").split(), numbers, strict=True):
+        if not math.isfinite(number):
+            raise typer.BadParameter(f"a place takes finite numbers of metres, not {word}")
     return numbers
 
 
@@ -105,12 +118,15 @@ def plan(
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the path (.csv).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw it (.png, .svg, .pdf).")] = None,
     whole: Annotated[bool, typer.Option("--whole", help="Draw the whole map, not the path's part of it.")] = False,
-    radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.0,
+    radius: Annotated[
+        float, typer.Option(help="Radius of the robot, m: at each cell of the path its disc touches no occupied cell.")
+    ] = 0.0,
     clearance_weight: Annotated[
-        float | None, typer.Option(help="How much more a cell right at an obstacle costs.", show_default="0")
+        float | None, typer.Option(help="How much more a cell right at an occupied one costs.", show_default="0")
     ] = None,
     clearance_reach: Annotated[
-        float | None, typer.Option(help="Within what distance it does, m.", show_default="0.5")
+        float | None,
+        typer.Option(help="Within what distance it does, m.", show_default="0.5 or two cells, whichever is more"),
     ] = None,
     unknown: Annotated[Unknown, typer.Option(help="What unknown cells are.")] = Unknown.blocked,
     planner: Annotated[Planner, typer.Option(help="What looks for the path.")] = Planner.astar,
@@ -134,7 +150,7 @@ def plan(
         float | None,
         typer.Option(
             help="Its resolution, m. At the size of the source's own cells paths leak through thin walls.",
-            show_default="half a cell",
+            show_default="half the source's cell in the plane, the source's cell in space",
         ),
     ] = None,
     cell: Annotated[float | None, typer.Option(help="Size of a game map's cells, m.", show_default="1")] = None,
@@ -148,19 +164,21 @@ def plan(
     """
     from hexmap.errors import ArgumentError
 
-    _check_usage(planner, weight, bidirectional, nearest, shortcut, clearance_weight, clearance_reach)
-    inputs = [world]
-    if world.suffix.lower() in (".yaml", ".yml"):  # its image is read too
-        inputs += [world.with_suffix(suffix) for suffix in (".pgm", ".png") if world.with_suffix(suffix).exists()][:1]
-    check_outputs({"--output": output, "--picture": picture}, tuple(inputs))
+    query = _Query(
+        start, goal, planner, weight, bidirectional, shortcut, nearest,
+        radius, clearance_weight, clearance_reach, unknown, neighbourhood,
+    )  # fmt: skip
+    _check_usage(query)
+    if whole and picture is None:
+        raise typer.BadParameter("--whole is about the --picture")
+    _check_numbers(query, {"--resolution": resolution, "--cell": cell}, min_hits, min_ratio)
+    check_outputs({"--output": output, "--picture": picture}, _inputs(world))
     if output is not None and output.suffix.lower() != ".csv":
         raise ArgumentError(f"{output}: a path is written as .csv, not {output.suffix or 'a file without a suffix'}")
     if picture is not None:
         from hexmap.drawing import check_picture
 
         check_picture(picture)
-    if whole and picture is None:
-        raise typer.BadParameter("--whole is about the --picture")
     own = clouds.is_parquet(world)
     for wrong, options in (
         (own, {"--lattice": lattice, "--resolution": resolution, "--cell": cell}),
@@ -173,39 +191,33 @@ def plan(
     first_run_note()
     begin = time.perf_counter()
     if own:
-        ground = _own_ground(
-            world,
-            start,
-            goal,
-            level or 0,
-            lambda sources: rule_of(min_hits, min_ratio, sources),
-            unknown,
-            neighbourhood,
-        )
+        ground = _own_ground(world, query, level or 0, lambda sources: rule_of(min_hits, min_ratio, sources))
     else:
-        ground = _foreign_ground(world, start, goal, lattice, resolution, cell, unknown, neighbourhood)
+        ground = _foreign_ground(world, query, lattice, resolution, cell)
     graph = ground.graph
     if radius != 0.0:
-        graph = graph.with_clearance(radius)
+        graph = graph.with_clearance(radius, to="cell")
     if clearance_weight is not None:
-        graph = graph.with_soft_clearance(0.5 if clearance_reach is None else clearance_reach, clearance_weight)
+        reach = max(_REACH, 2.0 * graph.lattice.resolution) if clearance_reach is None else clearance_reach
+        graph = graph.with_soft_clearance(reach, clearance_weight, to="cell")
     seconds = time.perf_counter() - begin
-    way = _search(ground, graph, start, goal, planner, weight, bidirectional, nearest, radius, unknown)
+    way = _search(ground, graph, query)
     if shortcut:
         from planners import shortcut as straighten
 
         way = straighten(graph, way)
     inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
     say(
-        f"{world}: {graph.lattice.title} lattice at {graph.lattice.resolution:g} m, {len(graph.moves)} moves, "
+        f"{world}: {graph.lattice.title} lattice at {graph.lattice.resolution:g} m{ground.source}, "
+        f"{len(graph.moves)} moves, "
         f"window of {inner} cells, {int(graph.free.sum(dtype='int64')):,} free, built in {seconds:.1f} s"
     )
-    _report(way, ground, planner, start, goal)
+    _report(way, ground, query)
     if output is not None:
         from planners.path_files import write_path
 
         write_path(output, way)
-        wrote(output, f"{len(way)} points, metres")
+        wrote(output, f"{_count(len(way), 'point')}, metres")
     if picture is not None:
         from hexmap.path_drawing import draw_path
 
@@ -220,28 +232,87 @@ def plan(
         wrote(picture, "the whole map" if whole else "the path and what surrounds it")
 
 
-def _check_usage(
-    planner: Planner,
-    weight: float | None,
-    bidirectional: bool,
-    nearest: bool,
-    shortcut: bool,
-    clearance_weight: float | None,
-    clearance_reach: float | None,
-) -> None:
+@dataclass(frozen=True)
+class _Query:
+    """What is asked of a map, as the options say it.
+
+    Attributes:
+        start, goal: places, metres.
+        planner, weight, bidirectional, shortcut, nearest: how the path is looked for.
+        radius, clearance_weight, clearance_reach: how it keeps off occupied cells.
+        unknown, neighbourhood: what cells and what moves it may take.
+    """
+
+    start: Place
+    goal: Place
+    planner: Planner
+    weight: float | None
+    bidirectional: bool
+    shortcut: bool
+    nearest: bool
+    radius: float
+    clearance_weight: float | None
+    clearance_reach: float | None
+    unknown: Unknown
+    neighbourhood: Any
+
+
+def _check_usage(query: _Query) -> None:
     """Turn down options that do not go together."""
-    asked = {"--weight": weight is not None, "--bidirectional": bidirectional, "--nearest": nearest}
+    planner = query.planner
+    asked = {
+        "--weight": query.weight is not None, "--bidirectional": query.bidirectional, "--nearest": query.nearest,
+    }  # fmt: skip
     named = [name for name, given in asked.items() if given]
     if named and planner is not Planner.astar:
         raise typer.BadParameter(f"{' and '.join(named)}: only with --planner astar, not with {planner.value}")
-    if clearance_weight is not None and planner not in (Planner.astar, Planner.dijkstra):
+    if query.clearance_weight is not None and planner not in (Planner.astar, Planner.dijkstra):
         raise typer.BadParameter(f"--clearance-weight: only with --planner astar or dijkstra, not with {planner.value}")
-    if bidirectional and weight is not None:
+    if query.bidirectional and query.weight is not None:
         raise typer.BadParameter("--bidirectional takes no --weight")
-    if shortcut and planner is Planner.any_angle:
-        raise typer.BadParameter("--shortcut: a path of any angle is as straight as it can be")
-    if clearance_reach is not None and clearance_weight is None:
+    if query.shortcut and planner is Planner.any_angle:
+        raise typer.BadParameter("--shortcut: a path of any angle is straightened already")
+    if query.clearance_reach is not None and query.clearance_weight is None:
         raise typer.BadParameter("--clearance-reach needs a --clearance-weight")
+
+
+def _check_numbers(
+    query: _Query, sizes: dict[str, float | None], min_hits: int | None, min_ratio: float | None
+) -> None:
+    """Turn down numbers out of their range.
+
+    Raises:
+        ArgumentError: naming the option and the value.
+    """
+    from hexmap.errors import ArgumentError
+
+    low, high = _SIZES
+    limits: list[tuple[str, float | None, float, float, str]] = [
+        *((option, size, low, high, " m") for option, size in sizes.items()),
+        ("--radius", query.radius, 0.0, high, " m"),
+        ("--clearance-reach", query.clearance_reach, low, high, " m"),
+        ("--weight", query.weight, 1.0, _MOST_WEIGHT, ""),
+        ("--clearance-weight", query.clearance_weight, 0.0, _MOST_WEIGHT, ""),
+        ("--min-hits", min_hits, 1, 2**31 - 1, ""),
+        ("--min-ratio", min_ratio, 0.0, 1.0, ""),
+    ]
+    for option, value, least, most, unit in limits:
+        if value is not None and not least <= value <= most:
+            raise ArgumentError(f"{option} must be {least:.10g} to {most:.10g}{unit}, not {value:.10g}")
+
+
+def _inputs(world: Path) -> tuple[Path, ...]:
+    """Return all files that are read for a map: itself and what it names."""
+    suffixes = [suffix.lower() for suffix in world.suffixes if suffix.lower() != ".gz"]
+    if suffixes[-1:] not in ([".yaml"], [".yml"]):
+        return (world,)
+    from hexmap.errors import FormatError
+    from hexmap.worlds.ros import image_of
+
+    try:
+        return world, image_of(world)
+    except FormatError:  # of another kind in spite of its name, or damaged, which reading it will say
+        return (world,)
 
 
 # ---------------------------------------------------------------------- what is searched
@@ -256,6 +327,7 @@ class _Ground:
         graph: its cells, before any radius.
         state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (of hexmap.maps).
         low, high: corners of what is known, metres.
+        source: what to say of the file's own cells.
         has_unknown: whether any cell is unknown.
         y_down: whether low y is at the top.
     """
@@ -265,19 +337,12 @@ class _Ground:
     state_at: Callable[[NDArray[np.float64]], NDArray[np.uint8]]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    source: str = ""
     has_unknown: bool = True
     y_down: bool = False
 
 
-def _own_ground(
-    path: Path,
-    start: Place,
-    goal: Place,
-    level: int,
-    rule_for: Callable[[Any], Any],
-    unknown: Unknown,
-    neighbourhood: Any,
-) -> _Ground:
+def _own_ground(path: Path, query: _Query, level: int, rule_for: Callable[[Any], Any]) -> _Ground:
     """Return a level of a map of hexmap."""
     import numpy as np
 
@@ -285,9 +350,11 @@ def _own_ground(
     from hexmap.graph import LatticeGraph
 
     world = load_map(path)
-    _check_places(path, start, goal, world.lattice.dim)
+    _check_places(path, query, world.lattice.dim)
     rule = rule_for(world.sources())
-    graph = LatticeGraph.from_map(world, level=level, rule=rule, unknown=unknown.value, neighbourhood=neighbourhood)
+    graph = LatticeGraph.from_map(
+        world, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
+    )
     states = world.state(rule, level)
     centres = np.concatenate([states.occupied.centres(), states.free.centres()])
 
@@ -299,14 +366,7 @@ def _own_ground(
 
 
 def _foreign_ground(
-    path: Path,
-    start: Place,
-    goal: Place,
-    lattice: str | None,
-    resolution: float | None,
-    cell: float | None,
-    unknown: Unknown,
-    neighbourhood: Any,
+    path: Path, query: _Query, lattice: str | None, resolution: float | None, cell: float | None
 ) -> _Ground:
     """Return a map of others, rasterised onto a lattice."""
     import numpy as np
@@ -316,26 +376,30 @@ def _foreign_ground(
     from hexmap.lattice import Lattice, default_name
     from hexmap.maps import FREE, OCCUPIED, UNKNOWN
 
-    world = worlds.open_world(path, cell=cell)
-    _check_places(path, start, goal, world.dim)
-    if resolution is not None and not 0.0 < resolution < math.inf:
-        raise ArgumentError(f"--resolution must be a positive number of metres, not {resolution:g}")
-    on = Lattice.named(lattice or default_name(world.dim), resolution or 0.5 * world.cell)
+    try:
+        world = worlds.open_world(path, cell=cell)
+    except ArgumentError as error:  # of its arguments only the cell can be wrong
+        raise ArgumentError(f"{error}; leave out --cell") from error
+    _check_places(path, query, world.dim)
+    # Half a cell in space is eight times the memory, and the walls of an OctoMap are thick.
+    usual = 0.5 * world.cell if world.dim == 2 else world.cell
+    on = Lattice.named(lattice or default_name(world.dim), resolution or usual)
     if on.dim != world.dim:
         raise ArgumentError(f"{path}: the map is of dimension {world.dim}, the lattice {on.name} of {on.dim}")
     low, high = np.asarray(world.low), np.asarray(world.high)
     _check_size(path, on, low, high)
-    graph = world.to_graph(on, unknown=unknown.value, neighbourhood=neighbourhood)
+    graph = world.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
     codes = np.zeros(3, np.uint8)
     codes[[worlds.BLOCKED, worlds.FREE, worlds.UNKNOWN]] = OCCUPIED, FREE, UNKNOWN
 
     def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
         return codes[world.state_at(points)]
 
-    return _Ground(path, graph, state_at, low, high, world.has_unknown, world.y_down)
+    source = f" on cells of {world.cell:g} m"
+    return _Ground(path, graph, state_at, low, high, source, world.has_unknown, world.y_down)
 
 
-def _check_places(path: Path, start: Place, goal: Place, dim: int) -> None:
+def _check_places(path: Path, query: _Query, dim: int) -> None:
     """Turn down places of another dimension than the map's.
 
     Raises:
@@ -343,7 +407,7 @@ def _check_places(path: Path, start: Place, goal: Place, dim: int) -> None:
     """
     from hexmap.errors import ArgumentError
 
-    for option, place in (("--from", start), ("--to", goal)):
+    for option, place in (("--from", query.start), ("--to", query.goal)):
         if len(place) != dim:
             raise ArgumentError(
                 f"{path}: the map is of dimension {dim}; {option} takes {dim} numbers, not {len(place)}"
@@ -362,66 +426,75 @@ def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: ND
 
     corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, lattice.dim)
     cells = float(np.prod(np.ptp(corners @ np.linalg.inv(lattice.basis).T, axis=0) + 3.0))
-    memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else math.inf
-    most = min(0.9 * memory / _SEARCH_BYTES, 2.0**31)
+    memory = _available_memory()
+    most = min(memory / _SEARCH_BYTES, 2.0**31)
     if cells > most:
         enough = lattice.resolution * (cells / most) ** (1.0 / lattice.dim) * 1.05
+        there = f" of {memory / 2**30:.1f} that are available" if math.isfinite(memory) else ""
         raise TooLargeError(
             f"{path}: {cells:,.0f} cells of {lattice.resolution:g} m are too many to search "
-            f"({cells * _SEARCH_BYTES / 2**30:.1f} GiB); take a coarser --resolution, {enough:.2g} m or more"
+            f"({cells * _SEARCH_BYTES / 2**30:.1f} GiB{there}); take a coarser --resolution, {enough:.2g} m or more"
         )
+
+
+def _available_memory() -> float:
+    """Return the bytes that can be allocated without swapping; where nobody says, most of what there is."""
+    try:
+        text = Path("/proc/meminfo").read_text()
+    except OSError:
+        text = ""
+    found = re.search(r"^MemAvailable:\s*(\d+) kB", text, re.MULTILINE)
+    if found is not None:
+        return 1024.0 * int(found[1])
+    try:
+        return 0.9 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
 
 
 # ---------------------------------------------------------------------- the search
 
 
-def _search(
-    ground: _Ground,
-    graph: LatticeGraph,
-    start: Place,
-    goal: Place,
-    planner: Planner,
-    weight: float | None,
-    bidirectional: bool,
-    nearest: bool,
-    radius: float,
-    unknown: Unknown,
-) -> Way:
-    """Return the path and its least distance to an obstacle.
+def _search(ground: _Ground, graph: LatticeGraph, query: _Query) -> Way:
+    """Return the path.
 
     Raises:
         NoPath: there is none; the text says why, in metres, and what may help.
     """
+    from hexmap.errors import BoundsError
     from planners import NoPath, to_cell
 
-    cells = [to_cell(graph, place).tolist() for place in (start, goal)]
-    run = _planner(planner, weight, bidirectional, nearest)
+    cells = []
+    for option, place in (("--from", query.start), ("--to", query.goal)):
+        try:
+            cells.append(to_cell(graph, place).tolist())
+        except BoundsError as error:
+            raise BoundsError(f"{option}: {_metres(place)} m is farther away than cells can be counted") from error
+    run = _planner(query)
     try:
         _warm_up(run, graph)
         return run(graph, *cells)
     except NoPath as error:
-        text, helps = _why(error, ground, start, goal, cells, radius, unknown)
-        if nearest or planner is not Planner.astar or error.reason.startswith("start"):
+        text, helps = _why(error, ground, query, cells)
+        if query.nearest or query.planner is not Planner.astar or error.reason.startswith("start"):
             helps.remove("--nearest")
         advice = f"; {' or '.join(helps)} may help" if helps else ""
         raise NoPath(error.reason, text + advice) from error
 
 
-def _planner(
-    planner: Planner, weight: float | None, bidirectional: bool, nearest: bool
-) -> Callable[[LatticeGraph, Any, Any], Way]:
+def _planner(query: _Query) -> Callable[[LatticeGraph, Any, Any], Way]:
     """Return what answers a query of two cells."""
     import planners
 
-    if planner is Planner.dijkstra:
+    if query.planner is Planner.dijkstra:
         return lambda graph, start, goal: planners.dijkstra(graph, start, goals=goal).path_to(goal)
-    if planner is Planner.astar:
-        factor = 1.0 if weight is None else weight
+    if query.planner is Planner.astar:
+        factor = 1.0 if query.weight is None else query.weight
         return lambda graph, start, goal: planners.astar(
-            graph, start, goal, bidirectional=bidirectional, weight=factor, nearest=nearest
+            graph, start, goal, bidirectional=query.bidirectional, weight=factor, nearest=query.nearest
         )
     found: Callable[[LatticeGraph, Any, Any], Way]
-    found = planners.any_angle if planner is Planner.any_angle else planners.canonical
+    found = planners.any_angle if query.planner is Planner.any_angle else planners.canonical
     return found
 
 
@@ -438,22 +511,15 @@ def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) 
     run(small, [0] * graph.lattice.dim, graph.moves[0].tolist())
 
 
-def _why(
-    error: NoPath,
-    ground: _Ground,
-    start: Place,
-    goal: Place,
-    cells: list[list[int]],
-    radius: float,
-    unknown: Unknown,
-) -> tuple[str, list[str]]:
+def _why(error: NoPath, ground: _Ground, query: _Query, cells: list[list[int]]) -> tuple[str, list[str]]:
     """Return why there is no path, with places in metres, and which options may help."""
     import numpy as np
 
     from hexmap.maps import UNKNOWN
 
-    smaller = ["a smaller --radius"] if radius > 0.0 else []
-    open_up = ["--unknown free"] if ground.has_unknown and unknown is Unknown.blocked else []
+    start, goal = query.start, query.goal
+    smaller = ["a smaller --radius"] if query.radius > 0.0 else []
+    open_up = ["--unknown free"] if ground.has_unknown and query.unknown is Unknown.blocked else []
     at = 0 if error.reason.startswith("start") else 1
     where = f"{_metres((start, goal)[at])} m, cell {_cell(cells[at])},"
     if "outside" in error.reason:
@@ -466,8 +532,8 @@ def _why(
         cell = np.array([cells[at]])
         flat = ground.graph.index_to_flat(cell)
         if ground.graph.free[flat[0]]:
-            room = float(ground.graph.clearance_at(flat)[0])
-            text = f"{where} is {room:.2f} m from an obstacle, nearer than the radius of {radius:g} m"
+            room = float(ground.graph.clearance_at(flat, to="cell")[0])
+            text = f"{where} is {room:.3g} m from an occupied cell, nearer than the radius of {query.radius:g} m"
             return text, ["--nearest", *smaller]
         if ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
             return f"{where} is unknown", ["--nearest", *open_up]
@@ -478,25 +544,33 @@ def _why(
     return text, ["--nearest", *smaller, *open_up]
 
 
-def _report(way: Way, ground: _Ground, planner: Planner, start: Place, goal: Place) -> None:
+def _report(way: Way, ground: _Ground, query: _Query) -> None:
     """Say what was found and what that took."""
     clearance = _least_clearance(ground.graph, way)
-    room = "no obstacle anywhere" if math.isinf(clearance) else f"least clearance {clearance:.2f} m"
+    room = (
+        "no occupied cell anywhere"
+        if math.isinf(clearance)
+        else f"least clearance {clearance:.2f} m from occupied cells"
+    )
+    straight = query.shortcut or query.planner is Planner.any_angle
+    cost = f"{way.cost:.3f}" if way.cost < 1e6 else f"{way.cost:g}"
     say(
-        f"{planner.value} from {_metres(start)} to {_metres(goal)}: length {way.length:.3f} m, cost {way.cost:.3f}, "
-        f"turning {math.degrees(way.turning):.0f} deg, {room}, {len(way)} cells"
+        f"{query.planner.value} from {_metres(query.start)} to {_metres(query.goal)}: "
+        f"length {way.length:.3f} m, cost {cost}, turning {math.degrees(way.turning):.0f} deg, {room}, "
+        f"{_count(len(way), 'point' if straight else 'cell')}"
     )
     if not way.goal_reached:
         say(
             f"the goal was not reached: the path stops at {_metres(way.points[-1].tolist())}, "
-            f"{math.dist(way.points[-1], goal):.2f} m away from it"
+            f"{math.dist(way.points[-1], query.goal):.2f} m away from it"
         )
     bound = f", at most {way.bound:.4g} times the least cost" if 1.0 < way.bound < math.inf else ""
-    say(f"{way.expansions:,} expansions, {way.pushes:,} pushes, {1000.0 * way.seconds:.1f} ms{bound}")
+    effort = f"{_count(way.expansions, 'expansion')}, {_count(way.pushes, 'push', 'pushes')}"
+    say(f"{effort}, {1000.0 * way.seconds:.1f} ms{bound}")
 
 
 def _least_clearance(graph: LatticeGraph, way: Way) -> float:
-    """Return the least distance (m) to an obstacle of all cells that the path meets, those between its corners too."""
+    """Return the least distance (m) to occupied cells from all that the path meets, between its corners too."""
     import numpy as np
 
     from hexmap.rays import traverse
@@ -505,11 +579,15 @@ def _least_clearance(graph: LatticeGraph, way: Way) -> float:
     if len(way) > 1:
         cells = np.concatenate([cells, traverse(graph.lattice, way.points[:-1], way.points[1:]).index])
     flat = graph.index_to_flat(np.unique(cells, axis=0))
-    return float(np.min(graph.clearance_at(flat[flat >= 0])))
+    return float(np.min(graph.clearance_at(flat[flat >= 0], to="cell")))
 
 
 def _metres(place: Any) -> str:
     return f"({', '.join(f'{round(float(v), 3):g}' for v in place)})"
+
+
+def _count(number: int, one: str, many: str = "") -> str:
+    return f"{number:,} {one if number == 1 else many or one + 's'}"
 
 
 def _cell(cell: Any) -> str:

@@ -49,7 +49,7 @@ def open_world(path: str | os.PathLike[str], *, cell: float | None = None) -> Gr
     data = read_bytes(path)
     kind = _kind(path, data)
     if kind in ("ros", "octomap") and cell is not None:
-        raise ArgumentError(f"{path}: the file says how large its cells are; cell={cell!r} cannot change that")
+        raise ArgumentError(f"{path}: the file says how large its cells are; a cell of {cell:g} m cannot change that")
     # Each format's module is imported when it is needed.
     if kind == "movingai":
         from hexmap.worlds import movingai
@@ -78,7 +78,7 @@ def _kind(path: Path, data: bytes) -> str:
     if data.startswith(b"# Octomap OcTree file"):
         raise FormatError(f"{path}: this is a full OctoMap (.ot); write it as binary first (convert_octree)")
     if data.startswith(b"version "):
-        raise FormatError(f"{path}: this is a scenario; read it with read_scenario and name the map here")
+        raise FormatError(f"{path}: this is a scenario, the queries of a map; name the map itself")
     for magic, kind in ((b"type ", "movingai"), (b"voxel ", "warframe"), (b"# Octomap", "octomap")):
         if data.startswith(magic):
             return kind

@@ -15,6 +15,7 @@ from hexmap.errors import ArgumentError, BoundsError
 from hexmap.lattice import Lattice
 
 if TYPE_CHECKING:
+    from hexmap._graph_clearance import Boxes
     from hexmap.graph import LatticeGraph, Neighbourhood
 
 __all__ = ["BLOCKED", "FREE", "MAX_CELLS", "UNKNOWN", "GridWorld"]
@@ -235,8 +236,9 @@ class GridWorld:
 
         At the resolution of :attr:`cell` a square or cubic lattice gives a MovingAI or Warframe map index for index.
         On another lattice of the same cell size routes leak through walls of one cell: take a half or a quarter of it.
-        Clearance is measured from the blocked cells whose centre is in the grid; unknown cells and what
-        lies outside are no obstacles.
+        Clearance to an obstacle's centre is measured from the lattice's blocked cells whose centre is in
+        the grid, clearance to an obstacle's cell from the grid's own blocked squares or cubes, turned as they
+        are; unknown cells and what lies outside are no obstacles.
 
         Args:
             lattice: the lattice to rasterise onto, of the world's dimension.
@@ -262,8 +264,8 @@ class GridWorld:
         occupied_at: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
         if self.yaw != 0.0 or self.has_unknown:
             low, high = self.low - grain, self.high + grain
-            occupied_at = lambda points: self._look_up(points, _OUTSIDE) == BLOCKED
-        return graphs.LatticeGraph.rasterise(
+            occupied_at = self._blocked_at
+        graph = graphs.LatticeGraph.rasterise(
             lambda points: self.free_at(points, unknown),
             lattice,
             low,
@@ -271,6 +273,31 @@ class GridWorld:
             neighbourhood=neighbourhood,
             max_cells=graphs.MAX_CELLS if max_cells is None else max_cells,
             occupied_at=occupied_at,
+        )
+        graph._obstacles.source = self._blocked_boxes
+        return graph
+
+    def _blocked_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell for each of points (N, n) whether it lies in a blocked cell of the grid."""
+        return self._look_up(points, _OUTSIDE) == BLOCKED
+
+    def _blocked_boxes(self) -> Boxes:
+        """Return the blocked cells as boxes, but for those with blocked cells across all their faces."""
+        from hexmap._graph_clearance import Boxes
+
+        solid = self.states == BLOCKED
+        surface = np.pad(solid, 1)
+        inner = surface.copy()
+        for axis in range(self.dim):
+            for step in (-1, 1):
+                inner &= np.roll(surface, step, axis=axis)
+        cells = np.argwhere(surface & ~inner) - 1
+        return Boxes(
+            centres=self.centre(cells),
+            edge=self.cell,
+            frame=np.ascontiguousarray(self._turned(np.eye(self.dim))),
+            grain=self.cell / _FINE,
+            contains=self._blocked_at,
         )
 
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.errors import FormatError
+from hexmap.errors import FileAccessError, FormatError
 from hexmap.worlds._bytes import check_size, read_bytes, shown
 from hexmap.worlds._grid import BLOCKED, FREE, UNKNOWN, GridWorld
 
-__all__ = ["parse"]
+__all__ = ["image_of", "parse"]
 
 _NEEDED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
@@ -39,6 +39,25 @@ class _Entry:
     value: str | list[str]
 
 
+def image_of(path: Path) -> Path:
+    """Return the image that a map_server YAML file names, whether it is there or not.
+
+    Raises:
+        FileAccessError: the YAML file cannot be read.
+        FormatError: it names no image.
+    """
+    return _image(path, _entries(path, read_bytes(path)))
+
+
+def _image(path: Path, entries: dict[str, _Entry]) -> Path:
+    if "image" not in entries:
+        raise FormatError(f"{path}: no 'image' in the file; a ROS map has {', '.join(_NEEDED)}")
+    image = entries["image"]
+    if not isinstance(image.value, str) or not image.value or "\0" in image.value:
+        raise FormatError(f"{path}, line {image.line}: the image must be the name of a file, not {image.value!r}")
+    return path.parent / image.value
+
+
 def parse(path: Path, data: bytes) -> GridWorld:
     """Make a world of the text of a map_server YAML file and of the image that it names.
 
@@ -49,7 +68,7 @@ def parse(path: Path, data: bytes) -> GridWorld:
     channels, alpha among them in the mode trinary alone.
 
     Raises:
-        FileAccessError: the image cannot be read.
+        FileAccessError: the image cannot be read; the line that names it is said.
         FormatError: naming the line of the YAML file, or what is wrong with the image.
         TooLargeError: the image has more pixels than a dense array may have cells.
     """
@@ -76,11 +95,12 @@ def parse(path: Path, data: bytes) -> GridWorld:
     mode = mode_entry.value if isinstance(mode_entry.value, str) else ""
     if mode.lower() not in _MODES:
         raise FormatError(f"{path}, line {mode_entry.line}: the mode is one of {', '.join(_MODES)}, not {mode!r}")
-    image = entries["image"]
-    if not isinstance(image.value, str) or not image.value or "\0" in image.value:
-        raise FormatError(f"{path}, line {image.line}: the image must be the name of a file, not {image.value!r}")
-    image_path = path.parent / image.value
-    states = _states(image_path, mode.lower(), negate, occupied, free)
+    image_path = _image(path, entries)
+    try:
+        image = read_bytes(image_path)
+    except FileAccessError as error:
+        raise FileAccessError(f"{path}, line {entries['image'].line}: the image {error}") from error
+    states = _states(image_path, image, mode.lower(), negate, occupied, free)
     # The image's first row is the top one, that of the largest y.
     turned = np.ascontiguousarray(states[::-1].T)
     turned.setflags(write=False)
@@ -182,9 +202,8 @@ def _text(entry: _Entry) -> str:
 # ---------------------------------------------------------------------- the image
 
 
-def _states(path: Path, mode: str, negate: bool, occupied: float, free: float) -> NDArray[np.uint8]:
-    """Return the states (H, W) of the pixels of an image, the top row first."""
-    data = read_bytes(path)
+def _states(path: Path, data: bytes, mode: str, negate: bool, occupied: float, free: float) -> NDArray[np.uint8]:
+    """Return the states (H, W) of the pixels of an image of the bytes ``data``, the top row first."""
     if data[:2] in (b"P2", b"P5"):
         grey, most = _pgm(path, data)
         if most == 255:
