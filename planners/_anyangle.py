@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.errors import ArgumentError
 from hexmap.lattice import Lattice
 from planners._astar import _not_connected
+from planners._scratch import blank
 from planners.path import Path, cells_to_flat, make_path, measure
 
 if TYPE_CHECKING:
@@ -230,8 +231,8 @@ def search_way(
     view = make_view(graph)
     counts = np.zeros(4, np.int64)
     # Pages that a short search does not touch cost nothing.
-    g, parent = np.empty(graph.size), np.empty(graph.size, np.int32)
-    mark = np.zeros(graph.size, np.uint8)
+    g, parent = blank(graph.size, np.float64), blank(graph.size, np.int32)
+    mark = blank(graph.size, np.uint8)
     steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
     scale = _KEY_STEPS / float(graph.lengths.min())
     found = kernels.search(

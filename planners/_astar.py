@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.errors import ArgumentError
 from planners._nearest import nearest_reachable
+from planners._scratch import blank
 from planners.heuristics import gauge_planes, least_terrain
 from planners.path import NoPath, Path, cells_to_flat, make_path
 
@@ -126,12 +127,12 @@ def astar(
     terrain = np.empty(0) if graph.terrain is None else graph.terrain
     arrays = (graph.free, graph.offsets, lengths, graph.swept_starts, graph.swept, terrain, graph.strides)
     scale = _KEY_STEPS / (float(graph.lengths.min()) * cheapest)
-    g, via = np.empty(graph.size), np.zeros(graph.size, np.uint8)
+    g, via = blank(graph.size, np.float64), blank(graph.size, np.uint8)
     bound = 1.0
     if bidirectional:
         rises = np.zeros((len(graph.moves) + 1, len(planes)))
         rises[:-1] = graph.moves @ planes.T
-        g_back, via_back = np.empty(graph.size), np.zeros(graph.size, np.uint8)
+        g_back, via_back = blank(graph.size, np.float64), blank(graph.size, np.uint8)
         meeting, expansions, pushes, _ = kernels.search_both(
             *arrays, planes, rises, places[0], targets, source[0], goals, scale, slack, g, via, g_back, via_back
         )

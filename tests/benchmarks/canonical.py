@@ -186,7 +186,7 @@ def maps(queries: int = 60) -> None:
     for path, layouts in files:
         world = open_world(path)
         large = world.states.size > 20_000_000
-        for name, size, resolution in layouts[:1] if large else layouts:
+        for name, size, resolution in layouts:
             graph = world.to_graph(Lattice.named(name, resolution), neighbourhood=size)
             labels = graph.components()
             largest = np.flatnonzero(labels == np.bincount(labels[labels >= 0]).argmax())
