@@ -31,8 +31,8 @@ def free_at(points):
 # A robot of 0.2 m, on lattices whose cells have the same area.
 for name in ("Z2", "A2"):
     world = LatticeGraph.rasterise(free_at, Lattice.named(name, 0.1), (0, 0), (8, 5))
-    graph = world.with_clearance(0.2)
-    path = astar(graph, to_cell(graph, start), to_cell(graph, goal), clearance=world.clearance())
+    graph = world.with_clearance(0.2, to="cell")
+    path = astar(graph, to_cell(graph, start), to_cell(graph, goal), clearance=world.clearance(to="cell"))
     straight = shortcut(graph, path)
     print(
         f"{graph.lattice.title}: {path.length:.2f} m in {len(path)} cells, {path.clearance:.2f} m from the walls, "
@@ -40,8 +40,8 @@ for name in ("Z2", "A2"):
     )
 
 # Cells near walls may cost more instead: the path then keeps its distance where there is room.
-careful = graph.with_soft_clearance(reach=0.6, weight=4.0)
-path = astar(careful, to_cell(careful, start), to_cell(careful, goal), clearance=world.clearance())
+careful = graph.with_soft_clearance(reach=0.6, weight=4.0, to="cell")
+path = astar(careful, to_cell(careful, start), to_cell(careful, goal), clearance=world.clearance(to="cell"))
 print(f"careful: {path.length:.2f} m at a cost of {path.cost:.2f}, {path.clearance:.2f} m from the walls")
 
 # Where there is no path, the error says why.

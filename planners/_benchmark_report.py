@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +20,7 @@ from hexmap.experiments.statistics import Interval, bootstrap, bootstrap_ratio
 from hexmap.experiments.statistics import mean as mean_of
 from hexmap.experiments.verdicts import mean_path_factor
 from planners._benchmark_series import FloatArray, Series, collect, kept_queries, optima, ruler_rows
-from planners.benchmark import MOST_DROPPED, Results, free_cells, settings_table
+from planners.benchmark import LEAST_QUERIES, MOST_DROPPED, Results, free_cells, settings_table
 
 _BINS = 4
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 2)))
@@ -85,7 +90,8 @@ def make_report(results: Results, command: str) -> Outcome:
         "the length of the true any-angle optimum on the source map, which may touch walls; in space, where no such "
         "optimum is at hand, over the shortest path that anything found here. Worlds are rasterised by cell centre, "
         "and closed around points where blocked cells touch only there. Intervals are 95 % bootstrap intervals over "
-        "queries (BCa), each query the mean over the angles."
+        "queries (BCa), each query the mean over the angles. A grid is named by its lattice and its number of moves: "
+        "A2-12 are hexagons with their 12 nearest neighbours."
     )
     for text in results.left_out:
         report.paragraph(f"Left out, larger than {s.max_cells:,} cells: {text}.")
@@ -217,7 +223,7 @@ def _by_distance(report: Report, shown: list[Series], dim: int, fraction: int, i
                 if not (bins == b).any():
                     continue
                 row[f"{edges[b]:.1f} to {edges[b + 1]:.1f}"] = value = interval(x.values["ratio"][bins == b])
-                found.append(value)
+                found.append(value if (bins == b).sum() >= LEAST_QUERIES else replace(value, low=nan, high=nan))
             rows.append(row)
             low = [v.value - v.low for v in found]
             high = [v.high - v.value for v in found]
@@ -230,11 +236,12 @@ def _by_distance(report: Report, shown: list[Series], dim: int, fraction: int, i
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xticks([float(f"{m:.2g}") for m in middles])
         axes.set_xlabel(f"{_optimum_word(dim)}, source cells")
-        axes.set_ylabel("length over it")
+        axes.set_ylabel(f"length / {_optimum_word(dim)}")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7.5)
     report.table(
         f"distance_{dim}d_{fraction}", rows, formats={c: ".4f" for c in rows[0] if c != "grid"},
-        caption=f"Length over the {_optimum_word(dim)} by its length in source cells, edge 1/{fraction}.",
+        caption=f"Length over the {_optimum_word(dim)} by its length in source cells, edge 1/{fraction}; "
+        f"{', '.join(str(int((bins == b).sum())) for b in range(_BINS))} queries.",
     )  # fmt: skip
     report.figure(f"distance_{dim}d_{fraction}", figure, f"Length by distance, edge 1/{fraction}.")
 
@@ -304,6 +311,7 @@ def _other_measures(report: Report, series: list[Series], interval: Any) -> None
 def _times(report: Report, results: Results, series: list[Series], interval: Any) -> None:
     """Milliseconds a query on cells of the source's own size, by map, grid and planner."""
     report.heading("Time on cells of the source's own size")
+    report.paragraph(f"All times of this report were taken on {_machine()}; kept cases bring the times they took.")
     for dim in sorted({x.dim for x in series}):
         shown = [x for x in series if x.dim == dim and x.fraction == 1]
         if not shown:
@@ -336,6 +344,17 @@ def _times(report: Report, results: Results, series: list[Series], interval: Any
                     f"The any-angle optimum itself took {1e3 * float(np.concatenate(times).mean()):.2f} ms a query in "
                     f"the mean. {_COMPETITION}"
                 )
+
+
+def _machine() -> str:
+    """Return the processor's name and how many there are."""
+    name = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                name = line.partition(":")[2].strip()
+                break
+    return f"{os.cpu_count()} x {name}"
 
 
 def _free_space(report: Report, results: Results) -> None:
@@ -380,7 +399,7 @@ _MEASURES = (
     ("turning", "turning", -1),
     ("clearance", "least clearance", 1),
     ("expansions", "expansions", -1),
-    ("seconds", "time", -1),
+    ("seconds", "median time", -1),
 )
 
 
@@ -436,6 +455,10 @@ def _is_box(x: Series) -> bool:
     return len(lattice.faces) == 2 * lattice.dim
 
 
+def _median(values: FloatArray) -> FloatArray:
+    return np.asarray(np.median(values, axis=-1))
+
+
 def _compared(a: Series, b: Series, seed: int) -> tuple[dict[str, Any], list[str], list[str]]:
     """Return the ratios of ``a`` to ``b`` on the same queries, and what it wins and loses."""
     row: dict[str, Any] = {"grid": a.label, "against": b.label}
@@ -445,7 +468,8 @@ def _compared(a: Series, b: Series, seed: int) -> tuple[dict[str, Any], list[str
         u, v = a.values[key], b.values[key]
         if len(u) != len(v) or len(u) < 2 or not v.mean() > 0 or not u.mean() > 0:
             continue
-        row[word] = ratio = bootstrap_ratio(u, v, mean_of, rng=np.random.default_rng([seed, 3]))
+        statistic = _median if key == "seconds" else mean_of  # a few long queries would rule a mean of times
+        row[word] = ratio = bootstrap_ratio(u, v, statistic, rng=np.random.default_rng([seed, 3]))
         if not ratio.low <= 1.0 <= ratio.high:
             digits = ".2f" if abs(ratio.value - 1.0) >= 0.01 else ".4f"
             shown = f"{word} ({format_number(ratio.value, digits)} times)"

@@ -32,6 +32,7 @@ __all__ = ["GRIDS", "BenchmarkSettings", "Grid", "planning_benchmark", "run_benc
 
 Progress = Callable[[int, int], None]
 _CHUNK = 50  # queries a case: what an interruption can cost
+LEAST_QUERIES = 8  # an interval over fewer says nothing
 MOST_DROPPED = 0.02  # part of the queries; more says that the grids are too coarse for the map
 _OPEN_RADIUS = {2: 200.0, 3: 40.0}  # cells, of the check in free space
 _OPEN_DIRECTIONS = 4000
@@ -110,8 +111,8 @@ class BenchmarkSettings:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        if self.queries < 8:
-            raise ArgumentError(f"an interval needs 8 queries a map at the least, not {self.queries}")
+        if self.queries < LEAST_QUERIES:
+            raise ArgumentError(f"an interval needs {LEAST_QUERIES} queries a map at the least, not {self.queries}")
         if not self.angles or not all(math.isfinite(a) for a in self.angles):
             raise ArgumentError(f"angles must be numbers of degrees, not {self.angles}")
         if len(set(self.angles)) < len(self.angles):

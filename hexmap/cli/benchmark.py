@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import first_run_note, progress_line
+from hexmap.cli.console import first_run_note, progress_line, say
 from hexmap.cli.experiments import check_folder, command_line, write_report
 
 Number = TypeVar("Number", int, float)
@@ -69,6 +69,11 @@ def planning(
         fractions=_numbers(fractions, "--fractions", int),
         max_cells=max_cells, seed=seed, planners=chosen,
     )  # fmt: skip
+    if any(output.glob("cases-*.jsonl")):
+        say(
+            f"{output}: finished cases of an earlier run are kept, with their times; "
+            "without the files cases-*.jsonl all run anew"
+        )
     first_run_note()
     part = [0.0]
     with progress_line("planning", lambda: part[0], "cases") as update:

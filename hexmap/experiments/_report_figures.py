@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # For lines that must be told apart, by people who see colours differently too, on white paper.
-COLOURS = ("#33415c", "#e4572e", "#1b8a7a", "#a3509b", "#c99700", "#4a90d9", "#7b8794")
+COLOURS = (
+    "#33415c", "#e4572e", "#1b8a7a", "#a3509b", "#c99700", "#4a90d9", "#7b8794", "#7a4419", "#5a8f29", "#d16ba5",
+)  # fmt: skip
 
 _DPI = 200
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import platform
 import re
 from dataclasses import dataclass
+from importlib import metadata
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -132,6 +133,7 @@ def versions() -> str:
         "hexmap": hexmap.__version__,
         "Python": platform.python_version(),
         "numpy": np.__version__,
+        "numba": metadata.version("numba"),
         "matplotlib": matplotlib.__version__,
     }
     return ", ".join(f"{name} {version}" for name, version in parts.items())
