@@ -117,7 +117,8 @@ def canonical(
         graph: where to go; without terrain, as two orders of the same moves must cost the same.
         start: a cell's index (n,).
         goal: a cell's index (n,).
-        jump: false for the canonical ordering alone, every cell entered in the queue.
+        jump: false for the canonical ordering alone, every cell entered in the queue. In the plane orderings
+            of three levels and more (A2-12) never jump: lines cost more there than they save.
         clearance: (size,) metres, of which the path's least is reported.
 
     Raises:
