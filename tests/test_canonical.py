@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hexmap._graph_moves import swept_by_moves
 from hexmap.errors import ArgumentError
 from hexmap.graph import LatticeGraph, Neighbourhood
 from hexmap.lattice import Lattice
@@ -132,7 +133,7 @@ def metres_to_integers(graph: LatticeGraph) -> np.ndarray:
 
 
 def ordering_of(graph: LatticeGraph) -> Ordering:
-    swept = tuple(tuple(tuple(c) for c in cells.tolist()) for cells in graph._swept_of_moves())
+    swept = tuple(tuple(tuple(c) for c in cells.tolist()) for cells in swept_by_moves(graph.lattice, graph.moves))
     return canonical_ordering(graph.moves, metres_to_integers(graph), swept)
 
 
