@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hexmap.cli import main, planning
+from hexmap._lattice_kernels import quantise_2d
+from hexmap.cli import console, main, planning
 from hexmap.errors import FileAccessError, FormatError, LatticeError
 from hexmap.files import load_map, save_map
 from hexmap.graph import LatticeGraph
-from hexmap.lattice import Lattice
+from hexmap.lattice import NAMES, Lattice
 from hexmap.maps import Level, Map
 from hexmap.voxels import VoxelList
 from hexmap.worlds import BLOCKED, open_world
 from planners import astar
 from planners.path_files import read_path, write_path
-from tests.lattices import CASES, Case
+from tests.lattices import CASES, JIT, Case
 from tests.test_cli import failure
 
 
@@ -78,7 +80,7 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
         and "m from occupied cells, " in out[1]
         and out[1].endswith(" cells")
     )
-    assert "expansions" in out[2] and out[3].startswith(f"wrote {csv}") and out[4].startswith(f"wrote {png}")
+    assert "expansions" in out[2] and out[-2].startswith(f"wrote {csv}") and out[-1].startswith(f"wrote {png}")
     table = read_path(csv)
     lattice = Lattice.named("A2", 0.1)
     assert np.array_equal(lattice.quantise(np.array([[-1.5, -0.5], [1.5, -0.5]])), table.cells[[0, -1]])
@@ -127,7 +129,8 @@ def test_the_nearest_cell_to_a_goal_that_cannot_be_reached(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ("plan", folder / "rooms.yaml", "--from", -1.5, -0.5, "--to", 1.7, -0.8)
-    assert "unknown; --nearest or --unknown free may help" in failure(capsys, *arguments)
+    text = failure(capsys, *arguments)
+    assert " is unknown; " in text and text.endswith("; --nearest or --unknown free may help\n")
     assert call(*arguments, "--nearest", "--picture", tmp_path / "p.png") == 0
     out = capsys.readouterr().out
     assert "the goal was not reached: the path stops at (" in out and "m away from it" in out
@@ -140,8 +143,8 @@ def test_the_nearest_cell_to_a_goal_that_cannot_be_reached(
 def test_no_path_says_why_and_what_may_help(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = ("plan", folder / "rooms.parquet")
     cases = [
-        (("--from", -1.5, 0, "--to", 0, -0.5), "goal blocked: (0, -0.5) m, cell (", "occupied; --nearest may"),
-        (("--from", 0, -0.5, "--to", 1, 0), "no path: start blocked: (0, -0.5) m, cell (", "is occupied\n"),
+        (("--from", -1.5, 0, "--to", 0, -0.5), "goal blocked: (0, -0.5) m, cell (", "; --nearest may"),
+        (("--from", 0, -0.5, "--to", 1, 0), "no path: start blocked: (0, -0.5) m, cell (", "is occupied; the nearest"),
         (("--from", -1, 0, "--to", 900, 1), "goal outside the map: (900, 1) m", "x from -"),
         (("--from", -9, -9, "--to", 1, 0), "start outside the map: (-9, -9) m", "y from -"),
         (("--from", -1.5, 0, "--to", -0.3, -0.5, "--radius", 0.5), "nearer than the radius of 0.5 m", "a smaller"),
@@ -151,6 +154,97 @@ def test_no_path_says_why_and_what_may_help(folder: Path, tmp_path: Path, capsys
         text = failure(capsys, *own, *arguments, "-o", tmp_path / "p.csv", "--picture", tmp_path / "p.png")
         assert all(word in text for word in words), text
         assert not list(tmp_path.iterdir())
+
+
+def test_a_blocked_end_names_the_nearest_cell_that_can_be_taken(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv = tmp_path / "p.csv"
+    graph = LatticeGraph.from_map(load_map(folder / "rooms.parquet"))
+    centres = graph.centres(np.flatnonzero(graph.free))
+    wall, other, room = (0.0, -0.5), (-1.95, 0.99), (1.0, 0.0)
+    for start, goal, at, option in ((wall, room, 0, "--to"), (room, wall, 1, "--from"), (wall, other, 0, "")):
+        way = ("plan", folder / "rooms.parquet", "--from", *start, "--to", *goal)
+        text = failure(capsys, *way)
+        connected = f" that {option} is connected with" if option else ""
+        assert f"; the nearest free cell{connected} is at (" in text
+        place = [float(v) for v in text.split(" is at (")[1].split(")")[0].split(",")]
+        asked = np.array((start, goal)[at])
+        least = np.linalg.norm(centres - asked, axis=1).min()  # all rooms are connected
+        cell = graph.lattice.quantise(np.array([place]))
+        assert graph.free[graph.index_to_flat(cell)[0]]
+        assert np.linalg.norm(graph.lattice.centres(cell)[0] - asked) == pytest.approx(least, abs=1e-9)
+        if option:  # it can be taken as it is printed
+            ends: list[tuple[float, ...]] = [start, goal]
+            ends[at] = tuple(place)
+            assert call("plan", folder / "rooms.parquet", "--from", *ends[0], "--to", *ends[1], "-o", csv) == 0
+    text = failure(capsys, "plan", folder / "rooms.parquet", "--from", *wall, "--to", *room, "--radius", 5)
+    assert "nearest free" not in text
+    text = failure(capsys, "plan", folder / "rooms.map", "--from", 2, 1, "--to", 40, 1)
+    assert "the map has x from -0.50 to 11.50 m, y from -0.50 to 6.50 m" in text
+
+
+def test_the_disc_of_the_robot_at_unknown_cells(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # Unknown is what lies right of x = 1 and below y = -0.2: within 0.3 m of (x, 0) from x = 0.776 on.
+    way = ("plan", folder / "rooms.yaml", "--from", 0.4, 0, "--to", 1.6, 0, "--lattice", "Z2")
+    line = "the robot's disc meets unknown cells along "
+    for planner in ("astar", "any-angle"):
+        for radius, share in ((0.0, 0), (0.15, 0), (0.3, 100 * 17 / 25)):
+            assert call(*way, "--radius", radius, "--planner", planner) == 0
+            found = [text for text in capsys.readouterr().out.splitlines() if text.startswith(line)]
+            told = f"{line}{share:.0f}% of the path; --radius keeps it off occupied cells only"
+            assert found == ([told] if share else [])
+    assert call(*way, "--radius", 0.3, "--unknown", "free") == 0
+    assert line not in capsys.readouterr().out
+    assert call("plan", folder / "rooms.map", "--from", 2, 2.5, "--to", 8, 2.5, "--radius", 0.5) == 0
+    assert line not in capsys.readouterr().out
+
+
+def test_what_the_effort_is_compared_with(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    way = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
+    assert call(*way, "--planner", "any-angle") == 0
+    out = capsys.readouterr().out
+    assert " times the straight line\n" in out and "least cost" not in out
+    assert call(*way, "--weight", 2) == 0
+    assert re.search(r" ms, at most [12]\.?\d* times the least cost\n", capsys.readouterr().out)
+
+
+def test_jagged_paths_are_told_how_to_straighten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # Hexagons of this orientation have no move along x.
+    hall = tmp_path / "hall.map"
+    hall.write_text("type octile\nheight 20\nwidth 60\nmap\n" + ("." * 60 + "\n") * 20)
+    way = ("plan", hall, "--from", 2, 10, "--to", 55, 10, "--lattice", "A2")
+    both = "jagged: --shortcut or --planner any-angle straightens it"
+    for more, hint in [
+        ((), f"{both}, --neighbourhood extended turns less"),
+        (("--clearance-weight", 0), "jagged: --shortcut straightens it, --neighbourhood extended turns less"),
+        (("--shortcut",), ""),
+        (("--planner", "any-angle"), ""),
+        (("--neighbourhood", "extended"), ""),
+        (("--lattice", "Z2"), ""),
+    ]:
+        given = way[:-2] if "--lattice" in more else way
+        assert call(*given, *more) == 0
+        assert [t for t in capsys.readouterr().out.splitlines() if t.startswith("jagged")] == ([hint] if hint else [])
+
+
+def test_a_planner_that_was_never_compiled_is_announced(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    way = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
+    note = "compiling the planner; this happens once\n"
+    for planner in ("astar", "dijkstra", "canonical", "any-angle"):
+        assert call(*way, "--planner", planner) == 0  # compiled by now
+        capsys.readouterr()
+        with monkeypatch.context() as patch:
+            patch.setattr(console.sys.stderr, "isatty", lambda: True)
+            assert call(*way, "--planner", planner) == 0
+            assert note not in capsys.readouterr().err
+            patch.setattr(console, "_is_compiled", lambda kernel: kernel is quantise_2d)
+            assert call(*way, "--planner", planner) == 0
+            assert capsys.readouterr().err.count(note) == 1
+    if JIT:
+        assert console._is_compiled(quantise_2d)
 
 
 def gap(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
@@ -347,6 +441,10 @@ def test_bad_input_is_one_line_and_loses_nothing(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.map", "path.csv"]
 
 
+def test_the_help_lists_all_lattices() -> None:
+    assert planning._LATTICES == NAMES
+
+
 def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = folder / "rooms.parquet"
     way = ("--from", -1.5, 0, "--to", 1.5, 0)
@@ -366,7 +464,8 @@ def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((own, *way, "--unknown", "maybe"), "maybe"),
         ((own, *way, "--neighbourhood", "all"), "'all'"),
         ((own, *way, "--weight", 2, "--bidirectional"), "--bidirectional"),
-        ((own, *way, "--planner", "dijkstra", "--nearest"), "--nearest"),
+        ((own, *way, "--planner", "dijkstra", "--nearest"), "--nearest: only with --planner astar, not with dijkstra;"),
+        ((own, *way, "--planner", "any-angle", "--nearest"), "in Python planners.nearest_reachable gives the cell"),
         (
             (own, *way, "--planner", "any-angle", "--shortcut"),
             "--shortcut: a path of any angle is straightened already",

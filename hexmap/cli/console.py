@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import typer
 
 from hexmap.errors import ArgumentError, FileAccessError
 
-__all__ = ["check_outputs", "first_run_note", "progress_line", "say", "warn", "wrote"]
+__all__ = ["check_outputs", "compiling_note", "first_run_note", "progress_line", "say", "warn", "wrote"]
 
 
 def say(text: str) -> None:
@@ -79,9 +80,23 @@ def first_run_note() -> None:
         return
     from hexmap import _lattice_kernels
 
-    cache = getattr(getattr(_lattice_kernels.quantise_2d, "_cache", None), "cache_path", None)
-    if cache is not None and not any(Path(cache).glob("*quantise_2d*.nbi")):
+    if not _is_compiled(_lattice_kernels.quantise_2d):
         typer.echo("compiling the kernels; this happens once and takes some 20 seconds", err=True)
+
+
+def compiling_note(*kernels: Any) -> None:
+    """Say, on a terminal, that a planner is being compiled, where one of its kernels is found nowhere."""
+    if sys.stderr.isatty() and not all(_is_compiled(kernel) for kernel in kernels):
+        typer.echo("compiling the planner; this happens once", err=True)
+
+
+def _is_compiled(kernel: Any) -> bool:
+    """Tell whether a kernel's index is in the cache, or no kernel is compiled at all."""
+    cache = getattr(getattr(kernel, "_cache", None), "cache_path", None)
+    if cache is None:
+        return True
+    module = kernel.py_func.__module__.rpartition(".")[2]
+    return any(Path(cache).glob(f"{module}.{kernel.py_func.__name__}-*.nbi"))
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperCommand
 
 from hexmap.cli import clouds
-from hexmap.cli.console import check_outputs, first_run_note, say, wrote
+from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
 from hexmap.cli.viewing import MinHits, MinRatio, rule_of
 
 if TYPE_CHECKING:
@@ -36,6 +36,10 @@ _SEARCH_BYTES = 20  # a cell of the window while a search runs: state, terrain, 
 _SIZES = 1e-6, 1e6  # metres that options may ask for
 _MOST_WEIGHT = 1e6  # beyond it costs drown the lengths of the paths
 _REACH = 0.5  # metres, of the clearance where none is given, and no less than two cells
+_FINEST = 24, 12  # steps to a radius at most, in the plane and in space, of the places of a disc that are looked at
+# hexmap.lattice.NAMES, whose module is slow to load for a help text.
+_LATTICES = "Z2", "A2", "Z3", "D3", "D3*", "A2xZ"
+_JAGGED = 360.0, 5.0  # degrees of turning beyond which a path is: of all, and a cell
 
 
 class Planner(StrEnum):
@@ -113,7 +117,14 @@ def plan(
         Path,
         typer.Argument(help="A map of hexmap, a ROS map (.yaml), MovingAI .map, Warframe .3dmap, OctoMap .bt."),
     ],
-    start: Annotated[Any, typer.Option("--from", help="Where to start, m.", **_PLACE)],
+    start: Annotated[
+        Any,
+        typer.Option(
+            "--from",
+            help="Where to start, m. In maps of games a cell's centre is at its (column, row) or voxel times --cell.",
+            **_PLACE,
+        ),
+    ],
     goal: Annotated[Any, typer.Option("--to", help="Where to go, m.", **_PLACE)],
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the path (.csv).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw it (.png, .svg, .pdf).")] = None,
@@ -133,7 +144,9 @@ def plan(
     weight: Annotated[float | None, typer.Option(help="Of A*'s heuristic: faster above 1.", show_default="1")] = None,
     bidirectional: Annotated[bool, typer.Option("--bidirectional", help="A* from both ends.")] = False,
     shortcut: Annotated[bool, typer.Option("--shortcut", help="Straighten the path by line of sight.")] = False,
-    nearest: Annotated[bool, typer.Option("--nearest", help="Stop next to a goal that cannot be reached.")] = False,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Stop next to a goal that cannot be reached; with A* only.")
+    ] = False,
     neighbourhood: Annotated[
         Any,
         typer.Option(
@@ -144,7 +157,7 @@ def plan(
         ),
     ] = None,
     lattice: Annotated[
-        str | None, typer.Option(help="Lattice of foreign maps: Z2, A2, Z3, D3, D3*.", show_default="A2 or D3")
+        str | None, typer.Option(help=f"Lattice of foreign maps: {', '.join(_LATTICES)}.", show_default="A2 or D3")
     ] = None,
     resolution: Annotated[
         float | None,
@@ -201,6 +214,7 @@ def plan(
         reach = max(_REACH, 2.0 * graph.lattice.resolution) if clearance_reach is None else clearance_reach
         graph = graph.with_soft_clearance(reach, clearance_weight, to="cell")
     seconds = time.perf_counter() - begin
+    compiling_note(*_kernels_of(graph, query))
     way = _search(ground, graph, query)
     if shortcut:
         from planners import shortcut as straighten
@@ -265,7 +279,8 @@ def _check_usage(query: _Query) -> None:
     }  # fmt: skip
     named = [name for name, given in asked.items() if given]
     if named and planner is not Planner.astar:
-        raise typer.BadParameter(f"{' and '.join(named)}: only with --planner astar, not with {planner.value}")
+        instead = "; in Python planners.nearest_reachable gives the cell to search to" if query.nearest else ""
+        raise typer.BadParameter(f"{' and '.join(named)}: only with --planner astar, not with {planner.value}{instead}")
     if query.clearance_weight is not None and planner not in (Planner.astar, Planner.dijkstra):
         raise typer.BadParameter(f"--clearance-weight: only with --planner astar or dijkstra, not with {planner.value}")
     if query.bidirectional and query.weight is not None:
@@ -475,7 +490,7 @@ def _search(ground: _Ground, graph: LatticeGraph, query: _Query) -> Way:
         _warm_up(run, graph)
         return run(graph, *cells)
     except NoPath as error:
-        text, helps = _why(error, ground, query, cells)
+        text, helps = _why(error, ground, graph, query, cells)
         if query.nearest or query.planner is not Planner.astar or error.reason.startswith("start"):
             helps.remove("--nearest")
         advice = f"; {' or '.join(helps)} may help" if helps else ""
@@ -511,7 +526,24 @@ def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) 
     run(small, [0] * graph.lattice.dim, graph.moves[0].tolist())
 
 
-def _why(error: NoPath, ground: _Ground, query: _Query, cells: list[list[int]]) -> tuple[str, list[str]]:
+def _kernels_of(graph: LatticeGraph, query: _Query) -> list[Any]:
+    """Return the kernels whose compilation the search would wait for longest."""
+    from planners import _anyangle_kernels, _canonical_kernels, _field_kernels, _search_kernels
+
+    heuristic = _search_kernels.search_both if query.bidirectional else _search_kernels.advance
+    alike = graph.equal_edges and graph.terrain is None and len(graph.swept) == 0
+    own = {
+        Planner.astar: heuristic,
+        Planner.dijkstra: _field_kernels.wavefront if alike else _field_kernels.buckets,
+        Planner.any_angle: _anyangle_kernels.search,
+        Planner.canonical: _canonical_kernels.search,
+    }
+    return [own[query.planner], *([_anyangle_kernels.farthest] if query.shortcut else [])]
+
+
+def _why(
+    error: NoPath, ground: _Ground, graph: LatticeGraph, query: _Query, cells: list[list[int]]
+) -> tuple[str, list[str]]:
     """Return why there is no path, with places in metres, and which options may help."""
     import numpy as np
 
@@ -531,17 +563,77 @@ def _why(error: NoPath, ground: _Ground, query: _Query, cells: list[list[int]]) 
     if "blocked" in error.reason:
         cell = np.array([cells[at]])
         flat = ground.graph.index_to_flat(cell)
+        helps = ["--nearest"]
         if ground.graph.free[flat[0]]:
             room = float(ground.graph.clearance_at(flat, to="cell")[0])
             text = f"{where} is {room:.3g} m from an occupied cell, nearer than the radius of {query.radius:g} m"
-            return text, ["--nearest", *smaller]
-        if ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
-            return f"{where} is unknown", ["--nearest", *open_up]
-        return f"{where} is occupied", ["--nearest"]
+            helps += smaller
+        elif ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
+            text = f"{where} is unknown"
+            helps += open_up
+        else:
+            text = f"{where} is occupied"
+        return text + _nearest_free(graph, (start, goal)[at], cells[1 - at], ("--to", "--from")[at]), helps
     text = (
         f"nothing leads from {_metres(start)} m, cell {_cell(cells[0])}, to {_metres(goal)} m, cell {_cell(cells[1])}"
     )
     return text, ["--nearest", *smaller, *open_up]
+
+
+def _nearest_free(graph: LatticeGraph, place: Place, other: list[int], option: str) -> str:
+    """Return where the nearest cell is that can be taken instead of a place, connected with the other end if it can."""
+    import numpy as np
+
+    from planners import NoPath, nearest_reachable
+
+    try:
+        centre = graph.lattice.centres(nearest_reachable(graph, other, place)[None])[0]
+        what = f"the nearest free cell that {option} is connected with"
+    except NoPath:  # the other end is no better
+        free = np.flatnonzero(graph.free)
+        if len(free) == 0:
+            return ""
+        best = math.inf
+        for k in range(0, len(free), 1 << 20):
+            centres = graph.centres(free[k : k + (1 << 20)])
+            away = ((centres - np.asarray(place)) ** 2).sum(axis=1)
+            if away.min() < best:
+                best, centre = away.min(), centres[away.argmin()]
+        what = "the nearest free cell"
+    # As many digits as lead back to that cell.
+    digits = max(2, 1 + math.ceil(-math.log10(graph.lattice.resolution)))
+    return f"; {what} is at ({', '.join(f'{round(float(v), digits) + 0.0:.12g}' for v in centre)}) m"
+
+
+def _share_at_unknown(way: Way, ground: _Ground, radius: float) -> float:
+    """Return the share of the path along which a disc, in space a ball, of a radius (m) meets unknown cells.
+
+    The places that are looked at are those of a fine grid within the disc and on its rim.
+    """
+    import numpy as np
+
+    from hexmap.maps import UNKNOWN
+
+    lattice = ground.graph.lattice
+    n = lattice.dim
+    count = max(1, min(math.ceil(2.0 * radius / lattice.resolution), _FINEST[n - 2]))
+    steps = np.arange(-count - 1, count + 2) / count
+    disc = np.stack(np.meshgrid(*[steps] * n, indexing="ij"), axis=-1).reshape(-1, n)
+    away = np.linalg.norm(disc, axis=1)
+    disc = disc[away < 1.0 + 1.0 / count]
+    # Those just beyond are drawn in to the rim. What the disc only touches it does not meet.
+    disc *= radius * (1.0 - 1e-9) / np.maximum(np.linalg.norm(disc, axis=1), 1.0)[:, None]
+    points = [way.points[:1]]
+    for a, b in zip(way.points[:-1], way.points[1:], strict=True):
+        parts = max(1, round(math.dist(a, b) / lattice.resolution))
+        points.append(a + (b - a) * (np.arange(1, parts + 1) / parts)[:, None])
+    line = np.concatenate(points)
+    met = 0
+    for k in range(0, len(line), 256):
+        part = line[k : k + 256]
+        states = ground.state_at((part[:, None] + disc).reshape(-1, n))
+        met += int((states.reshape(len(part), -1) == UNKNOWN).any(axis=1).sum())
+    return met / len(line)
 
 
 def _report(way: Way, ground: _Ground, query: _Query) -> None:
@@ -564,9 +656,26 @@ def _report(way: Way, ground: _Ground, query: _Query) -> None:
             f"the goal was not reached: the path stops at {_metres(way.points[-1].tolist())}, "
             f"{math.dist(way.points[-1], query.goal):.2f} m away from it"
         )
-    bound = f", at most {way.bound:.4g} times the least cost" if 1.0 < way.bound < math.inf else ""
+    # Of any angle, nothing but the straight line bounds the cost from below.
+    times = (
+        f"{way.bound:.4g} times the straight line"
+        if query.planner is Planner.any_angle
+        else f"at most {way.bound:.4g} times the least cost"
+    )
+    bound = f", {times}" if 1.0 < way.bound < math.inf else ""
     effort = f"{_count(way.expansions, 'expansion')}, {_count(way.pushes, 'push', 'pushes')}"
     say(f"{effort}, {1000.0 * way.seconds:.1f} ms{bound}")
+    if not straight and math.degrees(way.turning) > max(_JAGGED[0], _JAGGED[1] * len(way)):
+        either = "--shortcut" if query.clearance_weight is not None else "--shortcut or --planner any-angle"
+        more = len(ground.graph.moves) < len(ground.graph.lattice.extended)
+        say(f"jagged: {either} straightens it{', --neighbourhood extended turns less' if more else ''}")
+    if query.radius > 0.0 and ground.has_unknown and query.unknown is Unknown.blocked:
+        share = _share_at_unknown(way, ground, query.radius)
+        if share > 0.0:
+            say(
+                f"the robot's disc meets unknown cells along {max(1, round(100.0 * share))}% of the path; "
+                "--radius keeps it off occupied cells only"
+            )
 
 
 def _least_clearance(graph: LatticeGraph, way: Way) -> float:
