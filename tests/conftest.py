@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 from pathlib import Path
 
@@ -13,6 +14,11 @@ from hypothesis import settings
 # caller, so a cache that outlives the session would test yesterday's kernels.
 _CACHE = tempfile.TemporaryDirectory(prefix="hexmap-numba-")
 os.environ["NUMBA_CACHE_DIR"] = _CACHE.name
+
+
+# A suite that was started in the background ignores Ctrl-C, and so would the programs that its tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 # A change must not fail to land by the draw of another day's examples; at home they are drawn anew.
