@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hexmap._lattice_kernels import quantise_2d
-from hexmap.cli import console, main, planning
+from hexmap.cli import _plan_ground, console, main, planning
 from hexmap.errors import FileAccessError, FormatError, LatticeError
 from hexmap.files import load_map, save_map
 from hexmap.graph import LatticeGraph
@@ -369,16 +369,16 @@ def test_no_image_of_a_ros_map_is_overwritten(folder: Path, tmp_path: Path, caps
 
 
 def test_memory(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    found = planning._available_memory()
+    found = _plan_ground._available_memory()
     assert found > 2**20
 
     def unreadable(*arguments: object, **more: object) -> str:
         raise PermissionError
 
     with monkeypatch.context() as patch:
-        patch.setattr(planning.Path, "read_text", unreadable)
-        assert planning._available_memory() > 2**20
-    monkeypatch.setattr(planning, "_available_memory", lambda: 2000.0)
+        patch.setattr(_plan_ground.Path, "read_text", unreadable)
+        assert _plan_ground._available_memory() > 2**20
+    monkeypatch.setattr(_plan_ground, "_available_memory", lambda: 2000.0)
     text = failure(capsys, "plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
     assert "GiB of 0.0 that are available); take a coarser --resolution" in text
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hexmap.cli import benchmark, experiments, mapping, planning, viewing
+from hexmap.cli._plan_query import PlanCommand
 from hexmap.errors import HexmapError
 
 __all__ = ["app", "run"]
@@ -33,7 +34,7 @@ app.command()(viewing.info)
 app.command()(viewing.lattices)
 app.command()(viewing.show)
 app.command()(viewing.export)
-app.command(cls=planning.PlanCommand)(planning.plan)
+app.command(cls=PlanCommand)(planning.plan)
 app.add_typer(experiments.app, name="experiment")
 app.add_typer(benchmark.app, name="benchmark")
 
