@@ -6,14 +6,10 @@ import math
 import re
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 from typer.core import TyperCommand
-
-if TYPE_CHECKING:
-    pass
-
 
 Place = tuple[float, ...]
 # Such as nan are matched too: they shall be refused as places, not taken for the name of a file.

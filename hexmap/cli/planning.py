@@ -30,14 +30,11 @@ if TYPE_CHECKING:
     from hexmap.graph import LatticeGraph
     from planners import Path as Way
 
-
 _REACH = 0.5  # metres, of the clearance where none is given, and no less than two cells
 _FINEST = 24, 12  # steps to a radius at most, in the plane and in space, of the places of a disc that are looked at
 # hexmap.lattice.NAMES, whose module is slow to load for a help text.
 _LATTICES = "Z2", "A2", "Z3", "D3", "D3*", "A2xZ"
 _JAGGED = 360.0, 5.0  # degrees of turning beyond which a path is: of all, and a cell
-
-
 _PLACE: dict[str, Any] = {"parser": parse_place, "metavar": "X Y [Z]"}
 
 
@@ -173,9 +170,6 @@ def plan(
             words=f"robot of radius {radius:g} m" if radius else "",
         )  # fmt: skip
         wrote(picture, "the whole map" if whole else "the path and what surrounds it")
-
-
-# ---------------------------------------------------------------------- the search
 
 
 def _share_at_unknown(way: Way, ground: Ground, radius: float) -> float:
