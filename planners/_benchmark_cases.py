@@ -10,6 +10,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -240,17 +241,22 @@ def ruler_case(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> d
         Lattice(np.eye(n)), [0] * n, (world.states == FREE).astype(np.uint8), neighbourhood=3**n - 1
     )
     planner = planner_named("astar")
-    costs: list[float | None] = []
-    straight: list[list[int] | None] = []
-    for k in range(case["first"], case["last"]):
+
+    def one(k: int) -> Path | None:
         try:
-            path = planner(graph, np.asarray(shared["starts"][k]), np.asarray(shared["goals"][k]))
+            return planner(graph, np.asarray(shared["starts"][k]), np.asarray(shared["goals"][k]))
         except NoPath:
-            costs.append(None)
+            return None
+
+    with ThreadPoolExecutor(max_workers=shared.get("threads", 1)) as pool:
+        paths = list(pool.map(one, range(case["first"], case["last"])))
+    costs = [None if path is None else path.cost for path in paths]
+    straight: list[list[int] | None] = []
+    for path in paths:
+        if path is None:
             straight.append(None)
             continue
         axes = np.abs(np.diff(path.cells, axis=0)).sum(axis=1)
-        costs.append(path.cost)
         straight.append([int((axes == a).sum()) for a in range(1, n + 1)])
     return {"cost": costs, "steps": straight}
 

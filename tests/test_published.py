@@ -27,7 +27,7 @@ def test_the_published_lengths(data_dir: Path, name: str) -> None:
     world = course.world
     shared = {
         "states": world.states, "cell": 1.0, "origin": np.full(world.dim, -0.5), "yaw": 0.0,
-        "starts": course.starts, "goals": course.goals,
+        "starts": course.starts, "goals": course.goals, "threads": 2,
     }  # fmt: skip
     found = ruler_case({"first": 0, "last": len(course.texts)}, np.random.default_rng(0), shared)
     assert len(found["cost"]) == (len(course.texts) if name in WHOLE else 200)
