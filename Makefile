@@ -6,7 +6,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 # The tests that are worth running without the compiler.
-PLAIN := $(foreach name,lattice voxels rays tiles graph planners canonical replanning,tests/test_$(name).py)
+PLAIN := tests/lattice tests/maps tests/graph tests/planners/test_planners.py tests/planners/test_canonical.py tests/planners/test_replanning.py
 
 .PHONY: demo test test-nojit lint bench clean
 

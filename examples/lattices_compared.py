@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from hexmap import Lattice, Pose, VoxelList
-from hexmap.metrics import coefficient_of_variation, distortion
+from hexmap.maps.metrics import coefficient_of_variation, distortion
 
 rng = np.random.default_rng(0)
 walls = np.concatenate([

@@ -9,9 +9,11 @@ import tempfile
 from pathlib import Path
 
 from hexmap import Trajectory, draw_map, load_map, open_log, read_tum, save_map
-from hexmap.simulator import world, write_log
+from hexmap.simulator.buildings import world
+from hexmap.simulator.writer import write_log
 from localisation.evaluation import absolute_error
-from localisation.mapping import MappingSettings, build_map
+from localisation.mapping.build_map import build_map
+from localisation.settings import MappingSettings
 
 folder = Path(tempfile.mkdtemp())
 log = Path(sys.argv[1]) if len(sys.argv) > 1 else folder / "room.clf"

@@ -3,7 +3,8 @@
 import numpy as np
 
 from hexmap import Lattice, MapBuilder, Pose, Scan
-from localisation.matcher import ListOccupancy, ScanMatcher
+from localisation.matching.local_matcher import ScanMatcher
+from localisation.matching.occupancy import ListOccupancy
 
 mine = Lattice(np.array([[0.10, 0.03], [0.00, 0.09]]), name="mine")  # columns are the generators, metres
 print(f"{len(mine.nearest)} nearest, {len(mine.faces)} faces, symmetries {len(mine.point_group)}")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hexmap.graph import LatticeGraph
-from hexmap.lattice import Lattice
-from hexmap.maps import FREE, OCCUPIED
-from hexmap.path_drawing import draw_path
+from hexmap.drawing.path_drawing import draw_path
+from hexmap.graph.lattice_graph import LatticeGraph
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.state_rule import FREE, OCCUPIED
 from planners import NoPath, astar, shortcut, to_cell
 from planners.path_files import write_path
 

@@ -1,3 +1,12 @@
-"""Scan matching, mapping from logs, and their evaluation; a part of hexmap."""
+"""Scan matching, mapping from logs, and their evaluation; a part of hexmap.
+
+``matching/`` finds a scan in a map, ``odometry/`` gives each scan of a log a pose, ``mapping/`` makes a map of a whole
+log, ``evaluation`` says how good a trajectory is; ``settings`` holds what all of them can be told.
+"""
 
 from __future__ import annotations
+
+import lazy_loader
+
+# The names, and the modules they live in, stand in __init__.pyi; each is loaded when it is first used.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

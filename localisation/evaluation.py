@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hexmap.errors import ArgumentError, TrajectoryError
-from hexmap.pose import Pose
-from hexmap.trajectory import Relations, Trajectory
+from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.errors import ArgumentError, TrajectoryError
+from hexmap.poses.pose import Pose
+from hexmap.poses.trajectory import Relations, Trajectory
 
 __all__ = [
     "AbsoluteError",
@@ -30,8 +30,6 @@ __all__ = [
 ]
 
 Associate = Literal["time", "order"]
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -132,7 +130,7 @@ def _angles_deg(R: FloatArray) -> FloatArray:
     return np.degrees(np.arctan2(np.linalg.norm(axis, axis=1), np.trace(R, axis1=1, axis2=2) - 1.0))
 
 
-def _relative(p: FloatArray, R: FloatArray, i: IndexArray, j: IndexArray) -> tuple[FloatArray, FloatArray]:
+def _relative(p: FloatArray, R: FloatArray, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return poses ``j`` seen from poses ``i``: translations (M, 3) and rotations (M, 3, 3)."""
     Rt = np.swapaxes(R[i], 1, 2)
     return np.einsum("nab,nb->na", Rt, p[j] - p[i]), Rt @ R[j]
@@ -155,7 +153,7 @@ def evaluate_relations(trajectory: Trajectory, relations: Relations, tolerance: 
 
     Args:
         trajectory: the estimate; its stamps need not be sorted.
-        relations: the truth, see :func:`hexmap.trajectory.read_relations`.
+        relations: the truth, see :func:`hexmap.io.read_relations`.
         tolerance: how far off a pose may be, in seconds; relations without one are skipped.
 
     Raises:
@@ -185,7 +183,7 @@ def evaluate_relations(trajectory: Trajectory, relations: Relations, tolerance: 
 
 def _associate(
     reference: Trajectory, estimate: Trajectory, associate: Associate, tolerance: float
-) -> tuple[IndexArray, IndexArray, int]:
+) -> tuple[IntArray, IntArray, int]:
     """Pair the poses: indices into both trajectories, and how many poses found no partner."""
     _check_tolerance(tolerance)
     if len(reference) == 0 or len(estimate) == 0:

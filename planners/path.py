@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.errors import ArgumentError, HexmapError
+from hexmap.base.arrays import IntArray
+from hexmap.base.errors import ArgumentError, HexmapError
 
 if TYPE_CHECKING:
-    from hexmap.graph import LatticeGraph
+    from hexmap.graph.lattice_graph import LatticeGraph
 
-__all__ = ["NoPath", "Path", "cells_to_flat", "shortcut", "to_cell"]
-
-IndexArray = NDArray[np.int64]
+__all__ = ["NoPath", "Path", "cells_to_flat", "make_path", "measure", "to_cell"]
 
 
 class NoPath(HexmapError, ValueError):
@@ -81,7 +80,7 @@ class Path:
 
 def make_path(
     graph: LatticeGraph,
-    flat: IndexArray,
+    flat: IntArray,
     *,
     clearance: NDArray[np.float64] | None = None,
     expansions: int = 0,
@@ -99,7 +98,7 @@ def make_path(
     return Path(cells, points, cost, length, turning, least, int(expansions), int(pushes), int(scanned), seconds, bound)
 
 
-def _leg_costs(graph: LatticeGraph, flat: IndexArray) -> NDArray[np.float64]:
+def _leg_costs(graph: LatticeGraph, flat: IntArray) -> NDArray[np.float64]:
     """Return what each move along neighbouring ``flat`` cells (M,) costs (M - 1,)."""
     order = np.argsort(graph.offsets)
     legs = graph.lengths[order[np.searchsorted(graph.offsets[order], np.diff(flat))]]
@@ -137,7 +136,7 @@ def to_cell(graph: LatticeGraph, point: ArrayLike) -> NDArray[np.int32]:
     return graph.lattice.quantise(p[None])[0]
 
 
-def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: bool = True) -> IndexArray:
+def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: bool = True) -> IntArray:
     """Return the flat cells (M,) of one cell (n,) or many (M, n), held to be in the map and, if asked, free.
 
     Args:
@@ -171,41 +170,7 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
 # ---------------------------------------------------------------------- line of sight
 
 
-def shortcut(graph: LatticeGraph, path: Path) -> Path:
-    """Return the path with legs replaced by straight lines where every cell that these meet is free.
-
-    From each kept cell the path goes straight to the last cell up to which it sees every one, by
-    :func:`planners.line_of_sight`; a line that only touches a corner of a blocked cell does not count as
-    free. Consecutive cells of the result are no neighbours any more. With terrain a leg is replaced
-    only where the line runs over one kind of terrain and costs no more, so that the cost stays exact.
-
-    Args:
-        graph: in which the path was found.
-        path: whose consecutive cells are neighbours.
-
-    Raises:
-        ArgumentError: consecutive cells are no neighbours (a path is made shorter once).
-    """
-    if len(path) < 3:
-        return path
-    flat = cells_to_flat(graph, path.cells, "cell of the path", blocked=False)
-    if not np.isin(np.diff(flat), graph.offsets).all():
-        raise ArgumentError("only a path of neighbouring cells can be made shorter by line of sight")
-    from planners import _anyangle_kernels as kernels
-    from planners._anyangle import make_view
-
-    view = make_view(graph)
-    terrain = np.empty(0) if graph.terrain is None else graph.terrain
-    so_far = np.concatenate([[0.0], np.cumsum(_leg_costs(graph, flat))])
-    kept = [0]
-    costs = []
-    while kept[-1] < len(path) - 1:
-        last, cost = kernels.farthest(view, graph.free, terrain, flat, so_far, kept[-1])
-        kept.append(last)
-        costs.append(cost)
-    points = path.points[kept]
-    length, turning = measure(points)
-    cost = math.fsum(costs)
-    return replace(
-        path, cells=path.cells[kept], points=points, cost=cost, length=length, turning=turning, clearance=None
-    )
+def _not_connected(start: ArrayLike, goal: ArrayLike) -> NoPath:
+    cells = np.atleast_2d(np.asarray(goal))
+    to = str(tuple(cells[0].tolist())) if len(cells) == 1 else f"any of {len(cells)} goals"
+    return NoPath("not connected", f"nothing leads from {tuple(np.asarray(start).tolist())} to {to}")

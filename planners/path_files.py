@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.atomic import atomic_write
-from hexmap.errors import FileAccessError, FormatError
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import FileAccessError, FormatError
 
 if TYPE_CHECKING:
     from planners.path import Path

@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import signal
-import tempfile
+import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-# Before anything imports numba: an edited helper in another file does not invalidate a cached
-# caller, so a cache that outlives the session would test yesterday's kernels.
-_CACHE = tempfile.TemporaryDirectory(prefix="hexmap-numba-")
-os.environ["NUMBA_CACHE_DIR"] = _CACHE.name
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _kernel_cache() -> Path:
+    """Return the folder of compiled kernels, by the content of all kernels.
+
+    An edited helper in another file does not invalidate a cached caller, so a cache that outlives an edit would test
+    yesterday's kernels. One folder for each state of all of them can outlive the session, and the workers share it.
+    """
+    digest = hashlib.blake2b(f"{sys.version} {metadata.version('numba')} {ROOT}".encode(), digest_size=10)
+    for path in sorted(ROOT.glob("[hpl]*/**/_*kernels.py")):
+        digest.update(path.read_bytes())
+    folder = ROOT / ".kernels" / digest.hexdigest()
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        for stale in (ROOT / ".kernels").glob("*"):
+            if stale != folder:
+                shutil.rmtree(stale, ignore_errors=True)
+    return folder
+
+
+# Before anything imports numba.
+os.environ["NUMBA_CACHE_DIR"] = str(_kernel_cache())
 
 
 # A suite that was started in the background ignores Ctrl-C, and so would the programs that its tests interrupt.
@@ -31,7 +52,7 @@ if os.environ.get("CI"):
 def data_dir() -> Path:
     """Folder of the real logs and maps; tests that need it skip where it is absent."""
     named = os.environ.get("HEXMAP_DATA")
-    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(named) if named else ROOT.parent / "shared" / "data"
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder}; set HEXMAP_DATA")
     return folder

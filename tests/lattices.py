@@ -18,7 +18,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.lattice import Lattice
+from hexmap.lattice.lattice import Lattice
 
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
 # Random points a lattice. Without the compiler the same kernels run a thousand times slower.

@@ -12,8 +12,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTED = [
-    "hexmap.lattice", "hexmap.maps", "hexmap.pose", "hexmap.voxels", "hexmap.simulator", "hexmap.trajectory",
-    "localisation.evaluation", "localisation.matcher",
+    "hexmap.lattice.lattice", "hexmap.maps.builder", "hexmap.poses.pose", "hexmap.maps.voxel_list",
+    "hexmap.io.trajectories", "hexmap.poses.trajectory", "localisation.evaluation",
+    "localisation.matching.local_matcher",
 ]  # fmt: skip
 
 

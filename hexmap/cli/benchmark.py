@@ -46,8 +46,9 @@ def planning(
     seed: clouds.Seed = 0,
 ) -> None:
     """Square against hexagonal grids, cubic against FCC and BCC: length, turning, clearance, effort, time."""
-    from hexmap.errors import ArgumentError
-    from planners.benchmark import BenchmarkSettings, planning_benchmark
+    from hexmap.base.errors import ArgumentError
+    from planners.benchmark.benchmark import planning_benchmark
+    from planners.benchmark.settings import BenchmarkSettings
 
     check_folder(output)
     known = ("astar", "dijkstra", "canonical")
@@ -103,7 +104,7 @@ def _numbers(text: str, option: str, kind: Callable[[str], Number]) -> tuple[Num
     Raises:
         ArgumentError: one of them is none.
     """
-    from hexmap.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError
 
     out = []
     for word in text.split(","):
@@ -118,7 +119,7 @@ def _random_angles(count: int, seed: int) -> tuple[float, ...]:
     """Return seeded random angles, degrees."""
     import numpy as np
 
-    from hexmap.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError
 
     if not 1 <= count <= 1000:
         raise ArgumentError(f"--random-angles takes 1 to 1000, not {count}")

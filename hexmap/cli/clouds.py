@@ -31,7 +31,7 @@ def cell_size(resolution: float | None, volume: float | None, area: float | None
     Raises:
         ArgumentError: more than one way, an area in space or a volume in the plane, not positive.
     """
-    from hexmap.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError
 
     given = {"--resolution": resolution, "--volume": volume, "--area": area}
     named = [k for k, v in given.items() if v is not None]
@@ -57,7 +57,7 @@ def corners(crop: str | None) -> tuple[tuple[float, ...] | None, tuple[float, ..
     Raises:
         ArgumentError: not 4 or 6 numbers.
     """
-    from hexmap.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError
 
     if crop is None:
         return None, None
@@ -91,8 +91,9 @@ def read_cloud(
     Raises:
         HexmapError: the file cannot be read, or a map's cells are too coarse for ``cells``.
     """
-    from hexmap.errors import ArgumentError
-    from hexmap.points import PointFilter, read_points
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io.clouds.filters import PointFilter
+    from hexmap.io.clouds.read_points import read_points
 
     notes: list[str] = []
     warnings: list[str] = []
@@ -128,8 +129,8 @@ def is_parquet(path: Path) -> bool:
 
 
 def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:
-    from hexmap.errors import ArgumentError
-    from hexmap.files import load_map
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io.map_file import load_map
 
     world = load_map(path)
     fine = world.lattice.resolution
@@ -149,11 +150,11 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
     """Return the points of a log at given poses, and what was wrong with the log."""
     import numpy as np
 
-    from hexmap.logs import open_log
-    from hexmap.pose import Pose
-    from hexmap.scan import Scan
-    from hexmap.trajectory import read_tum
-    from localisation.mapping import readings_at_poses
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.io.trajectories import read_tum
+    from hexmap.poses.pose import Pose
+    from hexmap.poses.scan import Scan
+    from localisation.mapping.fuse_log import readings_at_poses
 
     log = open_log(path)
     chunks = [

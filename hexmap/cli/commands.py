@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from hexmap.cli import benchmark, experiments, mapping, planning, viewing
-from hexmap.cli._plan_query import PlanCommand
-from hexmap.errors import HexmapError
+from hexmap.base.errors import HexmapError
+from hexmap.cli import benchmark, experiments, mapping, viewing
+from hexmap.cli.plan import command as planning
+from hexmap.cli.plan.query import PlanCommand
 
 __all__ = ["app", "run"]
 
@@ -41,7 +42,7 @@ app.add_typer(benchmark.app, name="benchmark")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from hexmap import __version__
+        from hexmap.base.version import __version__
 
         typer.echo(f"hexmap {__version__}")
         raise typer.Exit

@@ -12,7 +12,7 @@ from typing import Any
 
 import typer
 
-from hexmap.errors import ArgumentError, FileAccessError
+from hexmap.base.errors import ArgumentError, FileAccessError
 
 __all__ = ["check_outputs", "compiling_note", "first_run_note", "progress_line", "say", "warn", "wrote"]
 
@@ -78,7 +78,7 @@ def first_run_note() -> None:
     """Say, on a terminal, that the kernels are being compiled, where no compiled one is found."""
     if not sys.stderr.isatty():
         return
-    from hexmap import _lattice_kernels
+    from hexmap.lattice import _kernels as _lattice_kernels
 
     if not _is_compiled(_lattice_kernels.quantise_2d):
         typer.echo("compiling the kernels; this happens once and takes some 20 seconds", err=True)

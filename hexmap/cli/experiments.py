@@ -50,8 +50,8 @@ def rotation(
     sample: clouds.Sample = None,
 ) -> None:
     """Turn a scan and count the cells of every lattice: Table II, Figs 2 to 7, verdicts on the paper's claims."""
-    from hexmap.errors import ArgumentError
-    from hexmap.experiments.rotation import RotationSettings, rotation_experiment
+    from hexmap.base.errors import ArgumentError
+    from hexmap.paper.rotation import RotationSettings, rotation_experiment
 
     check_folder(output)
     dim = 2 if area is not None or poses is not None else 3
@@ -93,7 +93,7 @@ def quantiser(
     seed: clouds.Seed = 0,
 ) -> None:
     """Uniform data, cell volumes by sampling, cost: every lattice as a quantiser."""
-    from hexmap.experiments.quantiser import quantiser_experiment
+    from hexmap.paper.quantiser import quantiser_experiment
 
     check_folder(output)
     first_run_note()
@@ -106,7 +106,7 @@ def _basis(text: str) -> list[list[float]]:
     Raises:
         ArgumentError: not numbers, or not as many generators as coordinates.
     """
-    from hexmap.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError
 
     try:
         rows = [[float(v) for v in row.split(",")] for row in text.split(";")]
@@ -124,7 +124,7 @@ def command_line() -> str:
 
 def check_folder(output: Path) -> None:
     """Check before the work begins that a report can be written there."""
-    from hexmap.errors import FileAccessError
+    from hexmap.base.errors import FileAccessError
 
     if output.exists() and not output.is_dir():
         raise FileAccessError(f"{output}: the report needs a folder, and this is a file")
@@ -135,7 +135,7 @@ def check_folder(output: Path) -> None:
 
 def make_folder(output: Path) -> Path:
     """Make the folder of a report."""
-    from hexmap.errors import FileAccessError
+    from hexmap.base.errors import FileAccessError
 
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -146,7 +146,7 @@ def make_folder(output: Path) -> Path:
 
 def write_report(report: object, output: Path) -> None:
     """Write a report and say where its files are."""
-    from hexmap.experiments.report import Report
+    from hexmap.experiments.report.report import Report
 
     assert isinstance(report, Report)
     for path in report.write(make_folder(output)):

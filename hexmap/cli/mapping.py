@@ -15,7 +15,7 @@ from hexmap.cli.console import check_outputs, first_run_note, progress_line, say
 
 if TYPE_CHECKING:
     from localisation.evaluation import ErrorStatistics
-    from localisation.mapping import MappingSettings
+    from localisation.settings import MappingSettings
 
 
 class Associate(StrEnum):
@@ -44,8 +44,9 @@ def simulate(
     duration: Annotated[float | None, typer.Option(help="Stop after so many seconds of the drive.")] = None,
 ) -> None:
     """Simulate a drive through a building: a laser log with odometry that drifts, and the true poses."""
-    from hexmap.simulator import Laser, write_log
-    from hexmap.simulator import world as find_world
+    from hexmap.simulator.buildings import world as find_world
+    from hexmap.simulator.laser import Laser
+    from hexmap.simulator.writer import write_log
 
     check_outputs({"--output": output, "--truth": truth})
     summary = write_log(output, find_world(world), truth, laser=Laser(beams=beams), seed=seed, duration=duration)
@@ -94,10 +95,10 @@ def build(
     odometry_topic: Annotated[str | None, typer.Option(help="Topic of the odometry in a bag.")] = None,
 ) -> None:
     """Build a map from a laser log: match every scan, or take given poses, and fuse."""
-    from hexmap.drawing import check_picture
-    from hexmap.errors import TrajectoryError
-    from hexmap.logs import open_log
-    from hexmap.trajectory import read_tum
+    from hexmap.base.errors import TrajectoryError
+    from hexmap.drawing.map_drawing import check_picture
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.io.trajectories import read_tum
 
     check_outputs(
         {"--output": output, "--trajectory": trajectory, "--picture": picture},
@@ -138,8 +139,8 @@ def build(
 
 def _settings(config: Path | None, **options: Any) -> MappingSettings:
     """Return the settings of a configuration file, or the defaults, with the options that were given."""
-    from hexmap.errors import ArgumentError, HexmapError
-    from localisation.mapping import MappingSettings
+    from hexmap.base.errors import ArgumentError, HexmapError
+    from localisation.settings import MappingSettings
 
     values = _read_config(config) if config is not None else {}
     if config is not None:
@@ -172,8 +173,8 @@ def _read_config(path: Path) -> dict[str, Any]:
     """
     import json
 
-    from hexmap.errors import FileAccessError, FormatError
-    from hexmap.files import load_map
+    from hexmap.base.errors import FileAccessError, FormatError
+    from hexmap.io.map_file import load_map
 
     try:
         head = path.open("rb").read(4)
@@ -212,9 +213,10 @@ def _build(
     """Build, write and report; returns the result."""
     from contextlib import ExitStack
 
-    from hexmap.files import save_map
-    from hexmap.trajectory import TumWriter
-    from localisation.mapping import build_map, fuse_log
+    from hexmap.io.map_file import save_map
+    from hexmap.io.trajectories import TumWriter
+    from localisation.mapping.build_map import build_map
+    from localisation.mapping.fuse_log import fuse_log
 
     begin = time.monotonic()
     drawn: list[tuple[float, float]] = []
@@ -254,7 +256,7 @@ def _build(
     if trajectory is not None:
         wrote(trajectory, f"poses of {'all readings' if trajectory_of is Readings.all else 'the scans'}, TUM")
     if picture is not None:
-        from hexmap.drawing import draw_map
+        from hexmap.drawing.map_drawing import draw_map
 
         draw_map(result.map, picture, trajectory=drawn, rule=settings.rule)
         wrote(picture, "picture")
@@ -266,8 +268,8 @@ def merge(
     output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
 ) -> None:
     """Merge maps cell by cell; the order does not matter."""
-    from hexmap.errors import ArgumentError, LatticeError
-    from hexmap.files import load_map, save_map
+    from hexmap.base.errors import ArgumentError, LatticeError
+    from hexmap.io.map_file import load_map, save_map
 
     if len(maps) < 2:
         raise ArgumentError("merging takes two maps or more")
@@ -291,8 +293,8 @@ def evaluate(
     step: Annotated[float, typer.Option(help="Distance of the pairs for the relative error, m.")] = 1.0,
 ) -> None:
     """Score a trajectory: relations, or absolute error after rigid alignment and relative error."""
-    from hexmap.errors import ArgumentError
-    from hexmap.trajectory import read_relations, read_tum
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io.trajectories import read_relations, read_tum
     from localisation.evaluation import absolute_error, evaluate_relations, relative_error
 
     if relations is None and reference is None:
@@ -327,14 +329,16 @@ def demo(
     """Simulate an office and a drive through it, map it from the log alone, draw it and score it."""
     import numpy as np
 
-    from hexmap.drawing import draw_map
-    from hexmap.errors import FileAccessError
-    from hexmap.files import load_map
-    from hexmap.logs import open_log
-    from hexmap.simulator import world, write_log
-    from hexmap.trajectory import Trajectory, read_tum
+    from hexmap.base.errors import FileAccessError
+    from hexmap.drawing.map_drawing import draw_map
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.io.map_file import load_map
+    from hexmap.io.trajectories import read_tum
+    from hexmap.poses.trajectory import Trajectory
+    from hexmap.simulator.buildings import world
+    from hexmap.simulator.writer import write_log
     from localisation.evaluation import absolute_error
-    from localisation.mapping import MappingSettings
+    from localisation.settings import MappingSettings
 
     settings = replace(MappingSettings(), lattice=lattice)
     try:
@@ -369,8 +373,8 @@ def demo(
 
 def _odometry(log: Path) -> tuple[list[float], list[Any]]:
     """Return stamps and poses of the odometry of every reading of a log."""
-    from hexmap.logs import open_log
-    from hexmap.scan import Scan
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.poses.scan import Scan
 
     stamps, poses = [], []
     for event in open_log(log):

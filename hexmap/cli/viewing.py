@@ -12,8 +12,8 @@ from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, say, warn, wrote
 
 if TYPE_CHECKING:
-    from hexmap.maps import StateRule
-    from hexmap.voxels import VoxelList
+    from hexmap.maps.state_rule import StateRule
+    from hexmap.maps.voxel_list import VoxelList
 
 MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
 LevelOption = Annotated[int, typer.Option(help="Level of the map, 0 is the finest.")]
@@ -28,8 +28,8 @@ def info(
     """Say what a map holds and where it came from."""
     import json
 
-    from hexmap.errors import ArgumentError
-    from hexmap.files import load_map
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io.map_file import load_map
 
     world = load_map(map)
     sources = world.sources()
@@ -62,7 +62,7 @@ def info(
 
 def lattices() -> None:
     """Print the paper's Table I and what each lattice is worth, computed from its cell."""
-    from hexmap.lattice import NAMES, Lattice
+    from hexmap.lattice.lattice import NAMES, Lattice
 
     say(
         f"{'':6}{'lattice':<21}{'near':>5}{'faces':>6}{'symm.':>6}{'moment':>10}{'error':>9}"
@@ -109,7 +109,7 @@ def show(
     seed: clouds.Seed = 0,
 ) -> None:
     """Draw a map with its true cells, or points in space as shaded polyhedra."""
-    from hexmap.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError
 
     if output is None and not viewer:
         raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
@@ -123,7 +123,7 @@ def show(
     if clouds.is_parquet(source):
         if about_points:
             raise ArgumentError(f"{source}: a map has its lattice; --lattice, --volume and --resolution are for points")
-        from hexmap.files import load_map
+        from hexmap.io.map_file import load_map
 
         world = load_map(source)
         cells = world.state(rule_of(min_hits, min_ratio, world.sources()), level=level).occupied
@@ -140,9 +140,9 @@ def show(
 def _show_map(
     map: Path, output: Path, level: int, trajectory: Path | None, min_hits: int | None, min_ratio: float | None
 ) -> None:
-    from hexmap.drawing import check_picture, draw_map
-    from hexmap.files import load_map
-    from hexmap.trajectory import read_tum
+    from hexmap.drawing.map_drawing import check_picture, draw_map
+    from hexmap.io.map_file import load_map
+    from hexmap.io.trajectories import read_tum
 
     check_picture(output)
     world = load_map(map)
@@ -152,9 +152,9 @@ def _show_map(
 
 
 def _cells_of_points(source: Path, lattice: str | None, size: float, **reading: Any) -> VoxelList:
-    from hexmap.errors import ArgumentError
-    from hexmap.lattice import Lattice, default_name
-    from hexmap.voxels import VoxelList
+    from hexmap.base.errors import ArgumentError
+    from hexmap.lattice.lattice import Lattice, default_name
+    from hexmap.maps.voxel_list import VoxelList
 
     points, _, warnings = clouds.read_cloud(source, None, cells=size, **reading)
     for text in warnings:
@@ -170,7 +170,9 @@ def _cells_of_points(source: Path, lattice: str | None, size: float, **reading: 
 def _show_solids(
     cells: VoxelList, output: Path | None, view: tuple[float, float], cut_above: float | None, viewer: bool
 ) -> None:
-    from hexmap.solids import MESH_SUFFIXES, Cut, draw_solids, mesh_of_cells, save_mesh, view_solids
+    from hexmap.drawing.solids.draw_solids import Cut, draw_solids, view_solids
+    from hexmap.drawing.solids.mesh import mesh_of_cells
+    from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
 
     if output is not None and output.suffix.lower() in MESH_SUFFIXES:
         wrote(save_mesh(output, mesh_of_cells(cells)), f"mesh of {len(cells):,} cells")
@@ -191,8 +193,8 @@ def export(
     min_ratio: MinRatio = None,
 ) -> None:
     """Write a map in a format that other programs read."""
-    from hexmap.exports import export as export_map
-    from hexmap.files import load_map
+    from hexmap.io.exports import export as export_map
+    from hexmap.io.map_file import load_map
 
     image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
     check_outputs({"--output": output, "the image of --output": image}, (map,))
@@ -205,8 +207,8 @@ def rule_of(min_hits: int | None, min_ratio: float | None, sources: list[dict[st
     """Return the rule the map was made with where all its sources agree, with what is set here instead."""
     from dataclasses import replace
 
-    from hexmap.errors import HexmapError
-    from hexmap.maps import StateRule
+    from hexmap.base.errors import HexmapError
+    from hexmap.maps.state_rule import StateRule
 
     rules = [s["settings"].get("rule") for s in sources if isinstance(s.get("settings"), dict)]  # type: ignore[attr-defined]
     rule = StateRule()

@@ -28,7 +28,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.errors import ArgumentError
+from hexmap.base.errors import ArgumentError
 
 __all__ = [
     "Interval",
@@ -82,12 +82,12 @@ def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def cv(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return sigma / mu along the last axis, as :func:`hexmap.metrics.coefficient_of_variation` does."""
+    """Return sigma / mu along the last axis, as :func:`hexmap.maps.coefficient_of_variation` does."""
     return np.asarray(np.std(values, axis=-1) / np.abs(np.mean(values, axis=-1)))
 
 
 def interquartile_factor(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (Q3 - Q1) / (Q3 + Q1) along the last axis, as :func:`hexmap.metrics.interquartile_variability`."""
+    """Return (Q3 - Q1) / (Q3 + Q1) along the last axis, as :func:`hexmap.maps.interquartile_variability`."""
     q1, q3 = np.percentile(values, [25.0, 75.0], axis=-1)
     return np.asarray((q3 - q1) / (q3 + q1))
 

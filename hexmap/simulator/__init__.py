@@ -12,10 +12,10 @@ Worlds, way points and true poses share one frame, the world's: metres, x east, 
 from x. The odometry has a frame of its own that begins at the robot's start.
 """
 
+from hexmap.simulator.buildings import WORLDS, World, world
 from hexmap.simulator.drive import Drive, clearance
 from hexmap.simulator.events import OdometryNoise, SimulatedEvent, simulate
 from hexmap.simulator.laser import NO_RETURN, Laser, cast
-from hexmap.simulator.worlds import WORLDS, World, world
 from hexmap.simulator.writer import LogSummary, write_log
 
 __all__ = [

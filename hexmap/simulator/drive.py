@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.errors import ArgumentError
+from hexmap.base.errors import ArgumentError
 
 __all__ = ["Drive", "clearance"]
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.errors import ArgumentError
-from hexmap.pose import Pose
-from hexmap.scan import Event, Odometry, Scan
+from hexmap.base.errors import ArgumentError
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Event, Odometry, Scan
+from hexmap.simulator.buildings import World
 from hexmap.simulator.drive import Drive
 from hexmap.simulator.laser import Laser, _cast
-from hexmap.simulator.worlds import World
 
 __all__ = ["OdometryNoise", "SimulatedEvent", "simulate"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.errors import ArgumentError
-from hexmap.pose import Pose
+from hexmap.base.errors import ArgumentError
+from hexmap.poses.pose import Pose
 
 __all__ = ["NO_RETURN", "Laser", "cast"]
 

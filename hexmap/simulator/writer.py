@@ -15,13 +15,13 @@ from typing import IO, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.atomic import atomic_write
-from hexmap.errors import ArgumentError
-from hexmap.pose import Pose
-from hexmap.scan import Scan
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import ArgumentError
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+from hexmap.simulator.buildings import World
 from hexmap.simulator.events import OdometryNoise, _plan, simulate
 from hexmap.simulator.laser import NO_RETURN, Laser
-from hexmap.simulator.worlds import World
 
 __all__ = ["LogSummary", "write_log"]
 

@@ -1,7 +1,7 @@
 """Figures of any-angle planning: lengths over the true optimum, times, and what the search looked at.
 
 In the plane: the MovingAI maps rasterised by the cells' centres at the source resolution, 1/2 and 1/4 of it; the
-optimum is that of a point through the source map between the same two points (planners.optimum).
+optimum is that of a point through the source map between the same two points (planners.any_angle.optimum).
 Rasters on hexagons can open or shut gaps of the source map: ratios below one are such gaps. In space: the
 Warframe maps, against the shortest of the paths that any planner here found. Times are CPU seconds of one
 thread. ``python -m tests.benchmarks.anyangle [--queries 100] [map ...]``, maps by name such as arena or Simple.
@@ -16,11 +16,11 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from hexmap.graph import LatticeGraph
-from hexmap.lattice import Lattice
+from hexmap.graph.lattice_graph import LatticeGraph
+from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar, shortcut
-from planners._anyangle import search_way
-from planners.optimum import AnyAngleOptimum
+from planners.any_angle.optimum import AnyAngleOptimum
+from planners.any_angle.theta_star import search_way
 from tests.benchmarks._timing import data_folder, table, versions
 
 PLANE = (("Z2", 8, 1.0), ("Z2", 8, 0.5), ("A2", 6, 0.5), ("A2", 12, 0.5), ("Z2", 8, 0.25), ("A2", 6, 0.25))

@@ -20,13 +20,14 @@ import time
 import numpy as np
 from numba import njit
 
-from hexmap.graph import LatticeGraph, Neighbourhood
-from hexmap.lattice import Lattice
-from hexmap.worlds import open_world
+from hexmap.graph.lattice_graph import LatticeGraph
+from hexmap.graph.moves import Neighbourhood
+from hexmap.io.grids.open_grid import open_grid
+from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar, dijkstra
-from planners._canonical import _search, canonical
-from planners._shared_kernels import drop_top, gauge, may_move, project, rise
-from planners.heuristics import gauge_planes
+from planners.search._shared_kernels import drop_top, gauge, may_move, project, rise
+from planners.search.canonical import _search, canonical
+from planners.search.heuristics import gauge_planes
 from tests.benchmarks._timing import data_folder, table, versions
 from tests.lattices import CASES
 
@@ -184,7 +185,7 @@ def maps(queries: int = 60) -> None:
     ]  # fmt: skip
     rows = [head]
     for path, layouts in files:
-        world = open_world(path)
+        world = open_grid(path)
         large = world.states.size > 20_000_000
         for name, size, resolution in layouts:
             graph = world.to_graph(Lattice.named(name, resolution), neighbourhood=size)

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hexmap.experiments._cases import about_axis
-from hexmap.lattice import Lattice
-from hexmap.metrics import distortion
-from hexmap.voxels import VoxelList
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.metrics import distortion
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.paper.cases import about_axis
 from tests.benchmarks._timing import median_seconds, table, versions
 from tests.benchmarks.voxels import hall, stairs
 
@@ -89,8 +89,8 @@ _DRAW = """
 import resource, sys, time
 import numpy as np
 from hexmap.lattice import Lattice
-from hexmap.solids import draw_solids
-from hexmap.voxels import VoxelList
+from hexmap.drawing.solids import draw_solids
+from hexmap.maps import VoxelList
 points = np.load(sys.argv[1])
 cells = VoxelList.from_points(points, Lattice.named(sys.argv[2], 0.1))
 draw_solids(VoxelList.from_points(points[:50], cells.lattice), sys.argv[3])

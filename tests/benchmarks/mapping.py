@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from hexmap.trajectory import read_relations, read_tum
+from hexmap.io.trajectories import read_relations, read_tum
 from localisation.evaluation import evaluate_relations
 from tests.benchmarks._timing import data_folder, table, versions
 

@@ -30,8 +30,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from hexmap.graph import LatticeGraph
-from hexmap.lattice import Lattice
+from hexmap.graph.lattice_graph import LatticeGraph
+from hexmap.lattice.lattice import Lattice
 from planners import astar, dijkstra
 from tests.benchmarks._timing import data_folder, median_seconds, table, versions
 
@@ -240,9 +240,10 @@ def one_world(name: str, size: int, cells: int, world_path: str) -> dict[str, fl
     astar(warm, warm.flat_to_index(a[:1])[0], warm.flat_to_index(a[-1:])[0])
     before = resident("VmRSS")
     if world_path:
-        from hexmap.worlds import open_world, read_scenario
+        from hexmap.io.grids.open_grid import open_grid
+        from hexmap.io.grids.scenarios import read_scenario
 
-        world = open_world(world_path)
+        world = open_grid(world_path)
         problems = read_scenario(world_path.replace(".3dmap.gz", ".3dmap.3dscen.gz"))
         longest = int(np.argmax(problems.lengths))
         ends = [world.centre(at[longest][None])[0] for at in (problems.starts, problems.goals)]

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hexmap.experiments.runner import run_cases
-from planners._benchmark_cases import ruler_case
-from planners.benchmark import BenchmarkSettings, open_course, publishers_roots
+from hexmap.experiments.run_cases import run_cases
+from planners.benchmark.cases import ruler_case
+from planners.benchmark.course import open_course, publishers_roots
+from planners.benchmark.settings import BenchmarkSettings
 from tests.benchmarks._timing import data_folder, table, versions
 
 _CHUNK = 100

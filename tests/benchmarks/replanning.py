@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from hexmap.graph import LatticeGraph
-from hexmap.lattice import Lattice
+from hexmap.graph.lattice_graph import LatticeGraph
+from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar
-from planners._replanning import Replanner
+from planners.replanning.replanner import Replanner
 from tests.benchmarks._timing import table, versions
 
 SETTINGS = [("A2", None, 1024), ("Z2", 8, 1024), ("D3", 12, 96), ("D3*", 8, 96), ("Z3", 26, 96)]
@@ -31,7 +31,7 @@ SEEDS = (2, 5, 6)  # of starts and goals; a rare bad case depends on them more t
 def _canonical() -> Callable[..., Any] | None:
     """Return the canonical search where it exists."""
     try:
-        return getattr(importlib.import_module("planners._canonical"), "canonical", None)
+        return getattr(importlib.import_module("planners.search.canonical"), "canonical", None)
     except ImportError:
         return None
 

@@ -13,8 +13,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from hexmap.lattice import Lattice
-from hexmap.voxels import VoxelList
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.voxel_list import VoxelList
 from tests.benchmarks._timing import data_folder, median_seconds, table, versions
 
 SPATIAL = ("Z3", "D3", "D3*", "A2xZ")

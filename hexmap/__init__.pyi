@@ -1,0 +1,34 @@
+from .base.errors import HexmapError
+from .base.version import __version__
+from .drawing.map_drawing import draw_map
+from .io.exports import export
+from .io.logs.open_log import open_log
+from .io.map_file import load_map, save_map
+from .io.trajectories import read_tum
+from .lattice.lattice import Lattice
+from .maps.builder import MapBuilder
+from .maps.map import Map
+from .maps.state_rule import StateRule
+from .maps.voxel_list import VoxelList
+from .poses.pose import Pose
+from .poses.scan import Scan
+from .poses.trajectory import Trajectory
+
+__all__ = [
+    "HexmapError",
+    "Lattice",
+    "Map",
+    "MapBuilder",
+    "Pose",
+    "Scan",
+    "StateRule",
+    "Trajectory",
+    "VoxelList",
+    "__version__",
+    "draw_map",
+    "export",
+    "load_map",
+    "open_log",
+    "read_tum",
+    "save_map",
+]

@@ -1,0 +1,171 @@
+"""The maps that ``hexmap plan`` plans in: those of hexmap, and those of others."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hexmap.cli.plan.query import Query
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hexmap.graph.lattice_graph import LatticeGraph
+    from hexmap.lattice.lattice import Lattice
+
+
+_SEARCH_BYTES = 20  # a cell of the window while a search runs: state, terrain, cost, parent and some of the queue
+
+
+def inputs_of(world: Path) -> tuple[Path, ...]:
+    """Return all files that are read for a map: itself and what it names."""
+    suffixes = [suffix.lower() for suffix in world.suffixes if suffix.lower() != ".gz"]
+    if suffixes[-1:] not in ([".yaml"], [".yml"]):
+        return (world,)
+    from hexmap.base.errors import FormatError
+    from hexmap.io.grids.ros import image_of
+
+    try:
+        return world, image_of(world)
+    except FormatError:  # of another kind in spite of its name, or damaged, which reading it will say
+        return (world,)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A map ready for planning.
+
+    Attributes:
+        path: the file.
+        graph: its cells, before any radius.
+        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (of hexmap.maps).
+        low, high: corners of what is known, metres.
+        source: what to say of the file's own cells.
+        has_unknown: whether any cell is unknown.
+        y_down: whether low y is at the top.
+    """
+
+    path: Path
+    graph: LatticeGraph
+    state_at: Callable[[NDArray[np.float64]], NDArray[np.uint8]]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    source: str = ""
+    has_unknown: bool = True
+    y_down: bool = False
+
+
+def own_ground(path: Path, query: Query, level: int, rule_for: Callable[[Any], Any]) -> Ground:
+    """Return a level of a map of hexmap."""
+    import numpy as np
+
+    from hexmap.graph.lattice_graph import LatticeGraph
+    from hexmap.io.map_file import load_map
+
+    world = load_map(path)
+    _check_places(path, query, world.lattice.dim)
+    rule = rule_for(world.sources())
+    graph = LatticeGraph.from_map(
+        world, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
+    )
+    states = world.state(rule, level)
+    centres = np.concatenate([states.occupied.centres(), states.free.centres()])
+
+    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        return states.of(graph.lattice.quantise(points))
+
+    room = graph.lattice.covering_radius
+    return Ground(path, graph, state_at, centres.min(axis=0) - room, centres.max(axis=0) + room)
+
+
+def foreign_ground(
+    path: Path, query: Query, lattice: str | None, resolution: float | None, cell: float | None
+) -> Ground:
+    """Return a map of others, rasterised onto a lattice."""
+    import numpy as np
+
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io import grids
+    from hexmap.lattice.lattice import Lattice, default_name
+    from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
+
+    try:
+        world = grids.open_grid(path, cell=cell)
+    except ArgumentError as error:  # of its arguments only the cell can be wrong
+        raise ArgumentError(f"{error}; leave out --cell") from error
+    _check_places(path, query, world.dim)
+    # Half a cell in space is eight times the memory, and the walls of an OctoMap are thick.
+    usual = 0.5 * world.cell if world.dim == 2 else world.cell
+    on = Lattice.named(lattice or default_name(world.dim), resolution or usual)
+    if on.dim != world.dim:
+        raise ArgumentError(f"{path}: the map is of dimension {world.dim}, the lattice {on.name} of {on.dim}")
+    low, high = np.asarray(world.low), np.asarray(world.high)
+    _check_size(path, on, low, high)
+    graph = world.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
+    codes = np.zeros(3, np.uint8)
+    codes[[grids.BLOCKED, grids.FREE, grids.UNKNOWN]] = OCCUPIED, FREE, UNKNOWN
+
+    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        return codes[world.state_at(points)]
+
+    source = f" on cells of {world.cell:g} m"
+    return Ground(path, graph, state_at, low, high, source, world.has_unknown, world.y_down)
+
+
+def _check_places(path: Path, query: Query, dim: int) -> None:
+    """Turn down places of another dimension than the map's.
+
+    Raises:
+        ArgumentError: one is.
+    """
+    from hexmap.base.errors import ArgumentError
+
+    for option, place in (("--from", query.start), ("--to", query.goal)):
+        if len(place) != dim:
+            raise ArgumentError(
+                f"{path}: the map is of dimension {dim}; {option} takes {dim} numbers, not {len(place)}"
+            )
+
+
+def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+    """Turn down a window that the machine has no memory for, before anything is allocated.
+
+    Raises:
+        TooLargeError: there is not enough.
+    """
+    import numpy as np
+
+    from hexmap.base.errors import TooLargeError
+
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, lattice.dim)
+    cells = float(np.prod(np.ptp(corners @ np.linalg.inv(lattice.basis).T, axis=0) + 3.0))
+    memory = _available_memory()
+    most = min(memory / _SEARCH_BYTES, 2.0**31)
+    if cells > most:
+        enough = lattice.resolution * (cells / most) ** (1.0 / lattice.dim) * 1.05
+        there = f" of {memory / 2**30:.1f} that are available" if math.isfinite(memory) else ""
+        raise TooLargeError(
+            f"{path}: {cells:,.0f} cells of {lattice.resolution:g} m are too many to search "
+            f"({cells * _SEARCH_BYTES / 2**30:.1f} GiB{there}); take a coarser --resolution, {enough:.2g} m or more"
+        )
+
+
+def _available_memory() -> float:
+    """Return the bytes that can be allocated without swapping; where nobody says, most of what there is."""
+    try:
+        text = Path("/proc/meminfo").read_text()
+    except OSError:
+        text = ""
+    found = re.search(r"^MemAvailable:\s*(\d+) kB", text, re.MULTILINE)
+    if found is not None:
+        return 1024.0 * int(found[1])
+    try:
+        return 0.9 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf

@@ -1,0 +1,152 @@
+"""How ``hexmap plan`` looks for the way, and what it says where there is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from hexmap.cli.plan.map_source import Ground
+from hexmap.cli.plan.query import Place, Planner, Query, Unknown, cell_text, in_metres
+
+if TYPE_CHECKING:
+    from hexmap.graph.lattice_graph import LatticeGraph
+    from planners import NoPath
+    from planners import Path as Way
+
+
+def find_way(ground: Ground, graph: LatticeGraph, query: Query) -> Way:
+    """Return the path.
+
+    Raises:
+        NoPath: there is none; the text says why, in metres, and what may help.
+    """
+    from hexmap.base.errors import BoundsError
+    from planners import NoPath, to_cell
+
+    cells = []
+    for option, place in (("--from", query.start), ("--to", query.goal)):
+        try:
+            cells.append(to_cell(graph, place).tolist())
+        except BoundsError as error:
+            raise BoundsError(f"{option}: {in_metres(place)} m is farther away than cells can be counted") from error
+    run = _planner(query)
+    try:
+        _warm_up(run, graph)
+        return run(graph, *cells)
+    except NoPath as error:
+        text, helps = _why(error, ground, graph, query, cells)
+        if query.nearest or query.planner is not Planner.astar or error.reason.startswith("start"):
+            helps.remove("--nearest")
+        advice = f"; {' or '.join(helps)} may help" if helps else ""
+        raise NoPath(error.reason, text + advice) from error
+
+
+def _planner(query: Query) -> Callable[[LatticeGraph, Any, Any], Way]:
+    """Return what answers a query of two cells."""
+    import planners
+
+    if query.planner is Planner.dijkstra:
+        return lambda graph, start, goal: planners.dijkstra(graph, start, goals=goal).path_to(goal)
+    if query.planner is Planner.astar:
+        factor = 1.0 if query.weight is None else query.weight
+        return lambda graph, start, goal: planners.astar(
+            graph, start, goal, bidirectional=query.bidirectional, weight=factor, nearest=query.nearest
+        )
+    found: Callable[[LatticeGraph, Any, Any], Way]
+    found = planners.any_angle if query.planner is Planner.any_angle else planners.canonical
+    return found
+
+
+def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) -> None:
+    """Load or compile the kernels on a handful of cells, so that the search's time is its own."""
+    import numpy as np
+
+    from hexmap.graph.lattice_graph import LatticeGraph
+
+    some = np.ones(tuple((2 * graph.pad + 1).tolist()), np.uint8)
+    small = LatticeGraph.from_states(graph.lattice, -graph.pad, some, neighbourhood=len(graph.moves))
+    if graph.terrain is not None:
+        small = small.with_terrain(np.ones(small.size))
+    run(small, [0] * graph.lattice.dim, graph.moves[0].tolist())
+
+
+def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
+    """Return the kernels whose compilation the search would wait for longest."""
+    from planners.any_angle import _kernels as _anyangle_kernels
+    from planners.search import _astar_kernels as _search_kernels
+    from planners.search import _canonical_kernels
+    from planners.search import _dijkstra_kernels as _field_kernels
+
+    heuristic = _search_kernels.search_both if query.bidirectional else _search_kernels.advance
+    alike = graph.equal_edges and graph.terrain is None and len(graph.swept) == 0
+    own = {
+        Planner.astar: heuristic,
+        Planner.dijkstra: _field_kernels.wavefront if alike else _field_kernels.buckets,
+        Planner.any_angle: _anyangle_kernels.search,
+        Planner.canonical: _canonical_kernels.search,
+    }
+    return [own[query.planner], *([_anyangle_kernels.farthest] if query.shortcut else [])]
+
+
+def _why(
+    error: NoPath, ground: Ground, graph: LatticeGraph, query: Query, cells: list[list[int]]
+) -> tuple[str, list[str]]:
+    """Return why there is no path, with places in metres, and which options may help."""
+    import numpy as np
+
+    from hexmap.maps.state_rule import UNKNOWN
+
+    start, goal = query.start, query.goal
+    smaller = ["a smaller --radius"] if query.radius > 0.0 else []
+    open_up = ["--unknown free"] if ground.has_unknown and query.unknown is Unknown.blocked else []
+    at = 0 if error.reason.startswith("start") else 1
+    where = f"{in_metres((start, goal)[at])} m, cell {cell_text(cells[at])},"
+    if "outside" in error.reason:
+        extent = ", ".join(
+            f"{axis} from {low:.2f} to {high:.2f} m"
+            for axis, low, high in zip("xyz", ground.low, ground.high, strict=False)
+        )
+        return f"{where} and the map has {extent}", ["--nearest"]
+    if "blocked" in error.reason:
+        cell = np.array([cells[at]])
+        flat = ground.graph.index_to_flat(cell)
+        helps = ["--nearest"]
+        if ground.graph.free[flat[0]]:
+            room = float(ground.graph.clearance_at(flat, to="cell")[0])
+            text = f"{where} is {room:.3g} m from an occupied cell, nearer than the radius of {query.radius:g} m"
+            helps += smaller
+        elif ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
+            text = f"{where} is unknown"
+            helps += open_up
+        else:
+            text = f"{where} is occupied"
+        return text + _nearest_free(graph, (start, goal)[at], cells[1 - at], ("--to", "--from")[at]), helps
+    ends = [f"{in_metres(p)} m, cell {cell_text(c)}" for p, c in zip((start, goal), cells, strict=True)]
+    text = f"nothing leads from {ends[0]}, to {ends[1]}"
+    return text, ["--nearest", *smaller, *open_up]
+
+
+def _nearest_free(graph: LatticeGraph, place: Place, other: list[int], option: str) -> str:
+    """Return where the nearest cell is that can be taken instead of a place, connected with the other end if it can."""
+    import numpy as np
+
+    from planners import NoPath, nearest_reachable
+
+    try:
+        centre = graph.lattice.centres(nearest_reachable(graph, other, place)[None])[0]
+        what = f"the nearest free cell that {option} is connected with"
+    except NoPath:  # the other end is no better
+        free = np.flatnonzero(graph.free)
+        if len(free) == 0:
+            return ""
+        best = math.inf
+        for k in range(0, len(free), 1 << 20):
+            centres = graph.centres(free[k : k + (1 << 20)])
+            away = ((centres - np.asarray(place)) ** 2).sum(axis=1)
+            if away.min() < best:
+                best, centre = away.min(), centres[away.argmin()]
+        what = "the nearest free cell"
+    # As many digits as lead back to that cell.
+    digits = max(2, 1 + math.ceil(-math.log10(graph.lattice.resolution)))
+    return f"; {what} is at ({', '.join(f'{round(float(v), digits) + 0.0:.12g}' for v in centre)}) m"

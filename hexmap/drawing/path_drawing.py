@@ -1,0 +1,339 @@
+"""Pictures of paths: the cells that were searched and the way through them.
+
+In the plane the true cells are drawn as :mod:`hexmap.drawing` draws those of maps. Paths in space
+are seen from above and from the front; there the obstacles as high as the path beside them (from
+the front: as deep) are dark and all others pale.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexmap.base.errors import ArgumentError
+from hexmap.drawing.figure_layout import (
+    FAINT,
+    FAR_COLOUR,
+    FRAME,
+    FREE_COLOUR,
+    NEAR_COLOUR,
+    PATH_COLOUR,
+    SHADES,
+    UNKNOWN_COLOUR,
+    Page,
+    draw_path_captions,
+)
+from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, place_cells, save_page
+from hexmap.maps.outlines import ClassTable
+from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
+from hexmap.maps.voxel_list import VoxelList
+
+if TYPE_CHECKING:
+    from hexmap.graph.lattice_graph import LatticeGraph
+
+__all__ = ["draw_path"]
+
+Corners: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+_WALL = SHADES[-2]
+_NEAR = 3  # after UNKNOWN, FREE and OCCUPIED
+_COLOURS = (UNKNOWN_COLOUR, FREE_COLOUR, _WALL, NEAR_COLOUR)
+_MARGIN, _MARGIN_CELLS = 0.15, 8  # around the path, in parts of its longer side and in cells at least
+_GAP = 0.22  # inches between the two views
+_TALLEST = 9.0  # inches of both views together
+_LEAST_HEIGHT = 0.6  # inches of the view from the front
+_EDGED_WIDTH, _EDGED_CELLS = 0.05, 40_000  # cells at least so wide, inches, get an outline, if no more than so many
+_LEVEL = 2.0  # cells above or below the path that count as level with it
+_MANY = 200_000  # cells seen in space beyond which a picture shows dots
+
+
+def draw_path(
+    points: ArrayLike,
+    path: str | os.PathLike[str],
+    graph: LatticeGraph,
+    state_at: Callable[[NDArray[np.float64]], NDArray[np.uint8]] | None = None,
+    *,
+    goal: ArrayLike | None = None,
+    extent: tuple[ArrayLike, ArrayLike] | None = None,
+    whole: bool = False,
+    y_down: bool = False,
+    title: str | None = None,
+    words: str = "",
+    dpi: float = 200.0,
+) -> Path:
+    """Draw a path and the cells around it into a file; the suffix says which kind.
+
+    Args:
+        points: the path (M, n), metres.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+        graph: that was searched; its free cells are drawn as free.
+        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (the
+            constants of :mod:`hexmap.maps`). Cells that are free by it and blocked in the graph are
+            drawn as too near to an obstacle. Where none is given, what is not free is occupied.
+        goal: where the path should have led (n,), metres, if it ends elsewhere; left out beyond the extent.
+        extent: low and high corner (n,), metres, of what the source of the graph covers; no cell beyond is
+            drawn. All free cells where none is given.
+        whole: show all of it, not the path's surroundings only.
+        y_down: draw low y at the top, as the maps of games count.
+        title: a line above the picture, if any.
+        words: what to add to the small print.
+        dpi: pixels an inch of a PNG; the longer side of the map is 8 inches.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        ArgumentError: a suffix that is not known, points, goal or extent of another shape, or more
+            pixels than an image should have.
+        FileAccessError: the file cannot be written.
+    """
+    file = Path(path)
+    suffix = check_picture(file)
+    if not 10.0 <= dpi <= 5000.0:
+        raise ArgumentError(f"a picture has 10 to 5000 pixels an inch, not {dpi:g}")
+    n = graph.lattice.dim
+    line = np.asarray(points, dtype=np.float64)
+    if line.ndim != 2 or line.shape[1] != n or len(line) == 0 or not np.isfinite(line).all():
+        raise ArgumentError(f"a path in this graph must be finite points (M, {n}), not {line.shape}")
+    target = None if goal is None else np.asarray(goal, dtype=np.float64)
+    if target is not None and (target.shape != (n,) or not np.isfinite(target).all()):
+        raise ArgumentError(f"a goal in this graph must be {n} finite numbers, not {goal!r}")
+    covered = _extent(graph) if extent is None else _corners(extent, n)
+    if target is not None and ((target < covered[0]) | (target > covered[1])).any():
+        target = None  # so far away, it would make all else small
+    seen = line if target is None else np.vstack([line, target])
+    box = _box(graph, seen, covered, whole)
+    scene: _Plane | _Space
+    if n == 2:
+        page = Page.around(np.array(box), graph.lattice, dpi, title is not None, y_down)
+        scene = _Plane(graph, state_at, page, covered)
+    else:
+        scene = _Space(graph, state_at, line, box, covered, dpi, title is not None)
+    page = scene.page
+
+    def draw(figure: Any, axes: Any) -> None:
+        scene.draw(figure, axes, suffix)
+        views = [(axes, (0, 1)), *scene.further(figure)]
+        for view, columns in views:
+            draw_line(view, line[:, columns], 1.4)
+            if target is not None:
+                mark = dict(marker="x", markersize=6.5, markeredgecolor=PATH_COLOUR, markeredgewidth=1.6)
+                view.plot(*target[list(columns)], **mark, zorder=8)
+        draw_path_captions(figure, page, graph.lattice, scene.kinds, title, words, target is not None)
+
+    save_page(page, file, draw)
+    return file
+
+
+def _box(graph: LatticeGraph, seen: NDArray[np.float64], covered: Corners, whole: bool) -> Corners:
+    """Return the box of the picture: the path and some room around it, or all that is covered."""
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    if whole:
+        return np.minimum(low, covered[0]), np.maximum(high, covered[1])
+    room = max(_MARGIN * float((high - low).max()), _MARGIN_CELLS * graph.lattice.resolution)
+    return np.minimum(low, np.maximum(low - room, covered[0])), np.maximum(high, np.minimum(high + room, covered[1]))
+
+
+def _corners(extent: tuple[ArrayLike, ArrayLike], n: int) -> Corners:
+    low, high = (np.asarray(corner, dtype=np.float64) for corner in extent)
+    if low.shape != (n,) or high.shape != (n,) or not (np.isfinite([low, high]).all() and (low <= high).all()):
+        raise ArgumentError(f"an extent takes two corners of {n} finite numbers, the low one first, not {extent!r}")
+    return low, high
+
+
+def _extent(graph: LatticeGraph) -> Corners:
+    """Return the low and the high corner (n,), metres, of the free cells' centres."""
+    low, high = np.full(graph.lattice.dim, np.inf), np.full(graph.lattice.dim, -np.inf)
+    free = np.flatnonzero(graph.free)
+    for k in range(0, len(free), 1 << 20):
+        centres = graph.centres(free[k : k + (1 << 20)])
+        low, high = np.minimum(low, centres.min(axis=0)), np.maximum(high, centres.max(axis=0))
+    return low, high
+
+
+def _cells_in_box(
+    graph: LatticeGraph, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return index (M, n) and centres (M, n), metres, of the graph's cells whose centre is in a box."""
+    u = (
+        np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(len(low), -1).T
+        @ np.linalg.inv(graph.lattice.basis).T
+    )
+    first = np.maximum(np.floor(u.min(axis=0)).astype(np.int64), graph.first)
+    last = np.minimum(np.ceil(u.max(axis=0)).astype(np.int64), graph.first + graph.inner_shape - 1)
+    cells, centres = [np.empty((0, len(low)), np.int64)], [np.empty((0, len(low)))]
+    for a in range(first[0], last[0] + 1):
+        rest = [np.arange(start, end + 1) for start, end in zip(first[1:], last[1:], strict=True)]
+        index = np.stack(np.meshgrid([a], *rest, indexing="ij"), axis=-1).reshape(-1, len(low))
+        at = graph.lattice.centres(index)
+        inside = np.all((at >= low) & (at <= high), axis=1)
+        cells.append(index[inside])
+        centres.append(at[inside])
+    return np.concatenate(cells), np.concatenate(centres)
+
+
+def _kinds_of(
+    graph: LatticeGraph,
+    state_at: Callable[[NDArray[np.float64]], NDArray[np.uint8]] | None,
+    index: NDArray[np.int64],
+    centres: NDArray[np.float64],
+) -> NDArray[np.uint8]:
+    """Return UNKNOWN, FREE, OCCUPIED or too near (M,) for cells of the graph."""
+    free = graph.free[graph.index_to_flat(index)] != 0
+    if state_at is None:
+        return np.where(free, FREE, OCCUPIED).astype(np.uint8)
+    states = np.asarray(state_at(centres)).astype(np.uint8)
+    return np.where((states == FREE) & ~free, _NEAR, states).astype(np.uint8)
+
+
+def _dense(line: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """Return points (K, n) along a line (M, n) that are no more than ``step`` apart."""
+    parts = [line[:1]]
+    for a, b in pairwise(line):
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
+        parts.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(parts)
+
+
+# ---------------------------------------------------------------------- in the plane
+
+
+class _Plane:
+    """The cells of the plane that a page shows."""
+
+    def __init__(self, graph: LatticeGraph, state_at: Any, page: Page, covered: Corners) -> None:
+        self.page = page
+        self._lattice = graph.lattice
+        room = 2.0 * graph.lattice.covering_radius
+        low, high = np.maximum(page.low - room, covered[0]), np.minimum(page.high + room, covered[1])
+        self._index, self._centres = _cells_in_box(graph, low, high)
+        self._classes = _kinds_of(graph, state_at, self._index, self._centres)
+        self.kinds = [("free", FREE_COLOUR), ("occupied", _WALL)]
+        if (self._classes == UNKNOWN).any():
+            self.kinds.append(("unknown", UNKNOWN_COLOUR))
+        if (self._classes == _NEAR).any():
+            self.kinds.insert(1, ("too near", NEAR_COLOUR))
+
+    def _cells(self, *classes: int) -> VoxelList:
+        return VoxelList.from_cells(self._index[np.isin(self._classes, classes)], self._lattice)
+
+    def draw(self, figure: Any, axes: Any, suffix: str) -> None:
+        """Draw the cells: pixel by pixel or as outlines."""
+        if suffix == ".png":
+            walls = self._classes == OCCUPIED
+            parts = [self._cells(k) for k in (FREE, OCCUPIED, _NEAR)]
+            table = ClassTable(
+                self._lattice,
+                [
+                    (cells, np.full(len(cells), k, np.uint8))
+                    for k, cells in zip((FREE, OCCUPIED, _NEAR), parts, strict=True)
+                ],
+            )
+            place_cells(figure, self.page, table, _COLOURS, self._centres[walls], self._classes[walls])
+        else:
+            # Each area holds the ones after it, so no seam can show.
+            known, near = self._cells(FREE, OCCUPIED, _NEAR), self._cells(OCCUPIED, _NEAR)
+            draw_areas(axes, [(known, FREE_COLOUR), (near, NEAR_COLOUR), (self._cells(OCCUPIED), _WALL)])
+        if self._lattice.resolution >= _EDGED_WIDTH * self.page.metres_per_inch and len(self._index) <= _EDGED_CELLS:
+            for chosen, colour in ((self._classes != OCCUPIED, FRAME), (self._classes == OCCUPIED, FREE_COLOUR)):
+                add_cells(
+                    axes, self.page, self._lattice, self._centres[chosen],
+                    facecolors="none", edgecolors=colour, linewidths=0.3,
+                )  # fmt: skip
+
+    def further(self, figure: Any) -> list[tuple[Any, tuple[int, int]]]:
+        """Return the axes of further views: none."""
+        return []
+
+
+# ---------------------------------------------------------------------- in space
+
+
+class _Space:
+    """The obstacles of space that a page shows, from above and from the front."""
+
+    def __init__(
+        self,
+        graph: LatticeGraph,
+        state_at: Any,
+        line: NDArray[np.float64],
+        box: Corners,
+        covered: Corners,
+        dpi: float,
+        titled: bool,
+    ) -> None:
+        self._lattice = graph.lattice
+        self._line = line
+        room = 2.0 * graph.lattice.covering_radius
+        low, high = box[0][2] - room, box[1][2] + room
+        # Both views together are no longer than the page of a map in the plane may be.
+        flat = np.array([box[0][:2], box[1][:2]])
+        page = Page.around(flat, graph.lattice, dpi, titled)
+        tall = (page.high[1] - page.low[1] + high - low) / page.metres_per_inch
+        if tall > _TALLEST:
+            page = Page.around(flat, graph.lattice, dpi, titled, shrink=_TALLEST / tall)
+        self._inches = round(max((high - low) / page.metres_per_inch, _LEAST_HEIGHT) * dpi) / dpi
+        self._middle = 0.5 * (low + high)
+        self.page = replace(page, below=self._inches + _GAP)
+        self.kinds = [("occupied, level with the path", _WALL), ("occupied elsewhere", FAR_COLOUR)]
+        half = 0.5 * self._inches * page.metres_per_inch
+        floor, ceiling = np.append(page.low, self._middle - half), np.append(page.high, self._middle + half)
+        index, centres = _cells_in_box(graph, np.maximum(floor, covered[0]), np.minimum(ceiling, covered[1]))
+        self._walls = centres[_kinds_of(graph, state_at, index, centres) == OCCUPIED]
+
+    def draw(self, figure: Any, axes: Any, suffix: str) -> None:
+        """Draw what is seen from above."""
+        self._draw_walls(axes, (0, 1))
+        self._label(axes, "from above: x, y")
+
+    def further(self, figure: Any) -> list[tuple[Any, tuple[int, int]]]:
+        """Return the axes of the view from the front, drawn."""
+        page = self.page
+        bottom = page.bottom - page.below
+        w = page.pixels[0] / page.dpi
+        axes = figure.add_axes(
+            (page.left / page.width, bottom / page.height, w / page.width, self._inches / page.height)
+        )
+        half = 0.5 * self._inches * page.metres_per_inch
+        axes.set_xlim(page.low[0], page.high[0])
+        axes.set_ylim(self._middle - half, self._middle + half)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        for spine in axes.spines.values():
+            spine.set(edgecolor=FRAME, linewidth=0.6)
+        self._draw_walls(axes, (0, 2))
+        self._label(axes, "from the front: x, z")
+        return [(axes, (0, 2))]
+
+    def _label(self, axes: Any, text: str) -> None:
+        # Outside the frame, where it hides nothing.
+        style = dict(fontsize=7, color=FAINT, ha="right", va="bottom", annotation_clip=False)
+        axes.annotate(text, (1, 1), (0, 2.5), xycoords="axes fraction", textcoords="offset points", **style)
+
+    def _draw_walls(self, axes: Any, seen: tuple[int, int]) -> None:
+        """Draw the obstacles as two axes show them, those level with the path above the others."""
+        from scipy.spatial import cKDTree
+
+        # A curved section: what is level with that place of the path that is nearest in the picture.
+        (along,) = {0, 1, 2} - set(seen)
+        way = _dense(self._line, self._lattice.resolution)
+        place = cKDTree(way[:, seen]).query(self._walls[:, seen])[1]
+        near = np.abs(self._walls[:, along] - way[place, along]) <= _LEVEL * self._lattice.resolution
+        for chosen, colour in ((~near, FAR_COLOUR), (near, _WALL)):
+            places = self._walls[chosen]
+            step = np.round(places[:, seen] / (1e-3 * self._lattice.resolution)).astype(np.int64)
+            places = places[np.unique(step, axis=0, return_index=True)[1]]
+            if len(places) > _MANY:
+                size = max(72.0 * self._lattice.resolution / self.page.metres_per_inch, 0.4)
+                axes.scatter(*places[:, seen].T, s=size**2, marker="s", color=colour, linewidths=0, rasterized=True)
+            elif len(places):
+                add_cells(
+                    axes, self.page, self._lattice, places, seen, facecolors=colour, edgecolors=colour, linewidths=0.2
+                )

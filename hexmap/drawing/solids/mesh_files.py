@@ -1,0 +1,164 @@
+"""Meshes as files that other programs read: PLY, and GLB (binary glTF 2.0)."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import ArgumentError
+from hexmap.drawing.solids.mesh import Mesh
+
+__all__ = ["MESH_SUFFIXES", "save_mesh"]
+
+MESH_SUFFIXES = (".ply", ".glb")
+
+# glTF's numbers for types and for what a buffer is used for.
+_FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+
+
+def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> Path:
+    """Write a mesh; the suffix says how. The old file stays until the new one is whole.
+
+    ``.ply`` is binary, little-endian, in the cells' own frame (metres, z up): shared corners in
+    float64, so it is as watertight as the mesh, each face with its colour and its cell's row, and
+    each corner with the mean colour of its faces for programs that know no colours of faces.
+
+    ``.glb`` is glTF 2.0, whose frame is y up: (x, y, z) is stored as (x, z, -y), still metres and
+    right-handed. Each face has corners of its own with its normal and colour (linear, as glTF wants it), so that
+    shading is flat. Corners are float32 around a whole-metre origin, which is the node's translation.
+
+    Args:
+        path: ``.ply`` or ``.glb``.
+        mesh: the surface.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        ArgumentError: another suffix, an empty mesh, or one beyond the 4 GB that GLB can hold.
+        FileAccessError: the file cannot be written.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        kind = suffix or "a file without a suffix"
+        raise ArgumentError(f"{path}: a mesh is saved as {' or '.join(MESH_SUFFIXES)}, not as {kind}")
+    if len(mesh.triangles) == 0:
+        raise ArgumentError(f"{path}: the mesh is empty, there is nothing to save")
+    parts = _ply(mesh) if suffix == ".ply" else _glb(mesh, path)
+    with atomic_write(path) as handle:
+        for part in parts:
+            handle.write(part)
+    return path
+
+
+def _ply(mesh: Mesh) -> list[bytes]:
+    """Return the parts of a PLY file."""
+    colour = ["property uchar red", "property uchar green", "property uchar blue"]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment cells of a lattice, metres, z up",
+        f"element vertex {len(mesh.vertices)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        *colour,
+        f"element face {len(mesh.triangles)}",
+        "property list uchar int vertex_indices",
+        *colour,
+        "property int cell",
+        "end_header\n",
+    ]
+    corners = np.empty(len(mesh.vertices), [("place", "<f8", 3), ("colour", "u1", 3)])
+    corners["place"] = mesh.vertices
+    corners["colour"] = _corner_colours(mesh)
+    faces = np.empty(len(mesh.triangles), [("n", "u1"), ("corners", "<i4", 3), ("colour", "u1", 3), ("cell", "<i4")])
+    faces["n"], faces["corners"], faces["colour"], faces["cell"] = 3, mesh.triangles, mesh.colours, mesh.cells
+    return ["\n".join(header).encode("ascii"), corners.tobytes(), faces.tobytes()]
+
+
+def _corner_colours(mesh: Mesh) -> NDArray[np.uint8]:
+    """Return the mean colour (V, 3) of the triangles around each corner."""
+    rows, count = mesh.triangles.reshape(-1), len(mesh.vertices)
+    many = np.maximum(np.bincount(rows, minlength=count), 1)
+    sums = [np.bincount(rows, np.repeat(mesh.colours[:, k], 3), minlength=count) for k in range(3)]
+    return np.rint(np.stack(sums, axis=1) / many[:, None]).astype(np.uint8)
+
+
+def _glb(mesh: Mesh, path: Path) -> list[bytes]:
+    """Return the parts of a GLB file."""
+    corners, triangles, of = mesh.split()
+    origin = np.round(0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)))
+    places = _y_up(mesh.vertices[corners] - origin).astype("<f4")
+    colours = np.full((len(corners), 4), 65535, "<u2")
+    colours[:, :3] = np.rint(65535.0 * _linear_table()[mesh.colours[of]])
+    # Every array starts at a multiple of four bytes, since each row is one.
+    arrays: list[tuple[NDArray[Any], int, dict[str, Any]]] = [
+        (places, _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(places), _ends(places))),
+        (_y_up(mesh.normals[of]).astype("<f4"), _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(places))),
+        (colours, _ARRAY_BUFFER, _accessor(_UINT16, "VEC4", len(places), {"normalized": True})),
+        (triangles.astype("<u4"), _ELEMENT_ARRAY_BUFFER, _accessor(_UINT32, "SCALAR", triangles.size)),
+    ]
+    views, start = [], 0
+    for number, (array, target, accessor) in enumerate(arrays):
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": array.nbytes, "target": target})
+        accessor["bufferView"] = number
+        start += array.nbytes
+    document = {
+        "asset": {"version": "2.0", "generator": "hexmap"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "cells", "mesh": 0, "translation": _y_up(origin[None])[0].tolist()}],
+        "meshes": [
+            {
+                "name": "cells",
+                "primitives": [
+                    {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0, "mode": 4}
+                ],
+            }
+        ],
+        "materials": [{"name": "matt", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.9}}],
+        "accessors": [accessor for _, _, accessor in arrays],
+        "bufferViews": views,
+        "buffers": [{"byteLength": start}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode("ascii")
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + start
+    if total >= 2**32:
+        raise ArgumentError(f"{path}: a mesh of {len(triangles):,} triangles is too large for GLB; save it as .ply")
+    return [
+        struct.pack("<4sII", b"glTF", 2, total),
+        struct.pack("<I4s", len(text), b"JSON"),
+        text,
+        struct.pack("<I4s", start, b"BIN\0"),
+        *(array.tobytes() for array, _, _ in arrays),
+    ]
+
+
+def _y_up(vectors: NDArray[Any]) -> NDArray[Any]:
+    """Return vectors (N, 3) of a frame with z up in glTF's, with y up."""
+    # Zero stays zero: a minus sign before it would be noise in the file.
+    return np.stack([vectors[:, 0], vectors[:, 2], 0.0 - vectors[:, 1]], axis=1)
+
+
+def _accessor(component: int, kind: str, count: int, more: dict[str, Any] | None = None) -> dict[str, Any]:
+    return {"componentType": component, "type": kind, "count": count, **(more or {})}
+
+
+def _ends(places: NDArray[Any]) -> dict[str, Any]:
+    """Return the least and the greatest coordinates, as glTF wants them for positions."""
+    return {"min": places.min(axis=0).tolist(), "max": places.max(axis=0).tolist()}
+
+
+def _linear_table() -> NDArray[np.float64]:
+    """Return linear light for each sRGB byte."""
+    part = np.arange(256) / 255.0
+    return np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)

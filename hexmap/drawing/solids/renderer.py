@@ -1,0 +1,353 @@
+"""Solids as an image: a camera in perspective, light from the sky and a soft sun, and the samples mixed to pixels.
+
+Light is computed, not painted on: from each of some seventy directions a depth map says what the
+light reaches, which gives soft shadows and darkens corners and narrow rooms. Nothing is random,
+and one thread adds in one order, so the same scene gives the same pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.arrays import FloatArray
+from hexmap.drawing.solids.mesh import height_range, outward_rings
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.voxel_list import VoxelList
+
+__all__ = ["Camera", "Directions", "directions", "render"]
+
+
+_FIELD = math.radians(36.0)  # that the longer side of the frame covers
+_STRAYING = 0.08  # of the scene's width beyond the bulk of the cells: what is farther is a stray
+_SUPERSAMPLING = 3
+_TEXELS = (6.0, 40.0)  # of a depth map, across a cell: as few as this in a large scene, as many in a small one
+_MAP_SIDES = (1000.0, 3000.0)  # texels along a depth map: of a small scene, and the most that there may be
+_LIFT = 1.8  # texels above a face where its light is measured
+_SKY, _SUN = 56, 20  # directions
+_SUN_RADIUS = 0.13  # of the disc that the sun's directions fill, which makes its shadows soft
+# Parts of the light; what lies open to all of it is brighter than its colour, most of a room is not.
+_AMBIENT, _FILL, _SKY_PART, _SUN_PART = 0.20, 0.22, 0.62, 0.66
+_SHOULDER, _BRIGHTEST = 0.65, 1.4  # light from which it is compressed, and what it never reaches
+_GROUND_SHADOW = 0.62  # of the light that is missing there
+_GROUND_SIDE = 400.0  # places on the ground where its light is measured, along the longer side
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Where the picture is seen from, as axes in the frame of the cells.
+
+    Attributes:
+        rotation: (3, 3), its rows are the page's right and down and the view into the page.
+        level: (3,), horizontal, from the scene towards the viewer.
+    """
+
+    rotation: FloatArray
+    level: FloatArray
+
+
+def directions(azimuth: float, elevation: float) -> Directions:
+    """Return the axes of a view from ``azimuth`` (counter-clockwise from x) and ``elevation``, degrees."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    level = np.array([math.cos(a), math.sin(a), 0.0])
+    right = np.array([-math.sin(a), math.cos(a), 0.0])
+    into = -math.cos(e) * level - np.array([0.0, 0.0, math.sin(e)])
+    return Directions(np.stack([right, np.cross(into, right), into]), level)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole: ``pixel = focal * (x, y) / z + middle`` of ``rotation @ (point - eye)``."""
+
+    rotation: FloatArray
+    eye: FloatArray
+    focal: float
+    middle: tuple[float, float]
+
+    @classmethod
+    def fitted(
+        cls,
+        view: Directions,
+        places: FloatArray,
+        room: FloatArray,
+        frame: tuple[float, float, float, float],
+        part: float,
+    ) -> Camera:
+        """Stand as near as the frame (left, top, right, bottom), pixels, shows ``part`` of the places (N, 3).
+
+        ``room`` (V, 3) is what surrounds each of the places: the corners of a cell. On each of the
+        four sides 1 - part of the places may be off the frame, where they stray far from the others.
+
+        A place is in the frame when it is inside four planes through the eye, so the eye's best
+        position follows from the outermost place along each of the planes.
+        """
+        left, top, right, bottom = frame
+        focal = 0.5 * max(right - left, bottom - top) / math.tan(0.5 * _FIELD)
+        middle = (0.5 * (left + right), 0.5 * (top + bottom))
+        seen, around = places @ view.rotation.T, room @ view.rotation.T
+        tangents = np.array([right - left, bottom - top]) / (2.0 * focal)
+        position = np.empty(3)
+        back = []
+        for axis, tangent in enumerate(tangents):
+            ends = []
+            for sign in (1.0, -1.0):
+                plane = np.zeros(3)
+                plane[axis], plane[2] = sign, -tangent
+                along = seen @ plane
+                low, high = np.quantile(along, (1.0 - part, part))
+                outermost = min(along.max(), high + _STRAYING * (high - low))
+                ends.append(float(outermost + (around @ plane).max()))
+            position[axis] = 0.5 * (ends[0] - ends[1])
+            back.append(-(ends[0] + ends[1]) / (2.0 * tangent))
+        position[2] = min(back)
+        return cls(view.rotation, position @ view.rotation, focal, middle)
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Return the pixels (N, 2) where ``points`` (N, 3), metres, are seen."""
+        seen = (points - self.eye) @ self.rotation.T
+        return np.asarray(self.focal * seen[:, :2] / seen[:, 2:] + self.middle)
+
+
+def render(
+    cells: VoxelList,
+    exposed: NDArray[np.bool_],
+    colours: NDArray[np.uint8],
+    camera: Camera,
+    view: Directions,
+    size: tuple[int, int],
+    paper: tuple[int, int, int],
+) -> NDArray[np.uint8]:
+    """Return the picture (H, W, 3) uint8, sRGB, of at least one cell.
+
+    Args:
+        cells: what to draw.
+        exposed: (M, F), the faces to draw, of :func:`~hexmap.drawing.solids.mesh.exposed_faces`.
+        colours: (M, 3) uint8, sRGB.
+        camera: where it is seen from, in pixels of the picture.
+        view: the axes of the camera, which the sun follows.
+        size: width and height, pixels.
+        paper: the background, sRGB.
+    """
+    from hexmap.drawing.solids import _kernels as kernels
+
+    lattice, n = cells.lattice, _SUPERSAMPLING
+    cell = lattice.cell
+    centres = cells.centres()
+    # Far from the origin single precision would not do; the scene is moved there.
+    origin = np.round(0.5 * (centres.min(axis=0) + centres.max(axis=0)))
+    centres -= origin
+    eye = camera.eye - origin
+    bits = (exposed.astype(np.int64) << np.arange(exposed.shape[1])).sum(axis=1)
+    width, height = size
+    focal, cx, cy = camera.focal * n, camera.middle[0] * n, camera.middle[1] * n
+    shown = np.full((height * n, width * n), kernels.NOTHING, np.int32)
+    depth = np.zeros(shown.shape, np.float32)
+    kernels.rasterise(
+        np.ascontiguousarray((centres - eye) @ camera.rotation.T),
+        bits,
+        np.ascontiguousarray(cell.vertices @ camera.rotation.T),
+        *_ring_table(lattice),
+        np.ascontiguousarray(cell.normals @ camera.rotation.T),
+        0.5 * (cell.normals**2).sum(axis=1),
+        focal,
+        cx,
+        cy,
+        shown,
+        depth,
+    )
+    seen = (shown, depth, n, focal, cx, cy, camera.rotation, eye)
+    count = kernels.light_points(*seen, False, np.empty(0, np.int32), np.empty((0, 3), np.float32))
+    ground = _Ground.around(centres, lattice)
+    # The ground's places come last; they are of no face.
+    what = np.full(count + ground.counts.prod(), kernels.NOTHING, np.int32)
+    places = np.empty((len(what), 3), np.float32)
+    kernels.light_points(*seen, True, what, places)
+    places[count:] = ground.places()
+    light = _light(lattice, centres, bits, view, what, places)
+    del places
+    image = np.empty((height, width, 3), np.float32)
+    kernels.resolve(
+        *seen,
+        what,
+        light,
+        _linear(colours),
+        exposed.shape[1],
+        lattice.resolution,
+        _linear(np.array(paper, np.uint8)),
+        ground.level,
+        ground.low,
+        ground.spacing,
+        ground.softened(light[count:]),
+        image,
+    )
+    return _encoded(image)
+
+
+def _ring_table(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the corners of each face (F, 6) and how many it has (F,)."""
+    rings = outward_rings(lattice.cell)
+    table = np.zeros((len(rings), max(len(r) for r in rings)), np.int64)
+    for row, ring in zip(table, rings, strict=True):
+        row[: len(ring)] = ring
+    return table, np.array([len(r) for r in rings], np.int64)
+
+
+# ---------------------------------------------------------------------- light
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """The level that shadows fall on: a grid of places from ``low`` (2,), ``counts`` (2,) of them, metres apart."""
+
+    level: float
+    low: FloatArray
+    spacing: float
+    counts: NDArray[np.int64]
+
+    @classmethod
+    def around(cls, centres: FloatArray, lattice: Lattice) -> _Ground:
+        low, high = centres[:, :2].min(axis=0), centres[:, :2].max(axis=0)
+        tall = float(np.ptp(centres[:, 2]))
+        room = 3.0 * lattice.resolution + min(1.5 * tall, float((high - low).max()) + tall)
+        span = high - low + 2.0 * room
+        spacing = max(lattice.resolution, float(span.max()) / _GROUND_SIDE)
+        counts = np.ceil(span / spacing).astype(np.int64) + 2
+        # Under the floor and not under the strays that a mirror put below it.
+        level = height_range(centres[:, 2])[0] + float(lattice.cell.vertices[:, 2].min())
+        return cls(level, low - room, spacing, counts)
+
+    def places(self) -> NDArray[np.float32]:
+        """Return the places (A * B, 3)."""
+        x, y = (low + self.spacing * np.arange(n) for low, n in zip(self.low, self.counts, strict=True))
+        out = np.empty((len(x), len(y), 3), np.float32)
+        out[:, :, 0], out[:, :, 1], out[:, :, 2] = x[:, None], y, self.level
+        return out.reshape(-1, 3)
+
+    def softened(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the light as a grid (A, B) without noise, and without shadow at its rim."""
+        from scipy.ndimage import gaussian_filter
+
+        grid = gaussian_filter(light.reshape(self.counts), 1.0, mode="nearest")
+        ends = [np.minimum(np.arange(n), np.arange(n)[::-1]) / (0.2 * n) for n in self.counts]
+        fade = np.clip(np.minimum(*np.ix_(*ends)), 0.0, 1.0)
+        return np.ascontiguousarray(1.0 - (1.0 - grid) * fade**2 * (3.0 - 2.0 * fade), np.float32)
+
+
+def _light(
+    lattice: Lattice,
+    centres: FloatArray,
+    bits: NDArray[np.int64],
+    view: Directions,
+    what: NDArray[np.int32],
+    places: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Return how bright each of the places (N,) is, 1 where it shows the face's own colour."""
+    from hexmap.drawing.solids import _kernels as kernels
+
+    unit = lattice.cell.normals / np.linalg.norm(lattice.cell.normals, axis=1, keepdims=True)
+    normals = np.ascontiguousarray(np.vstack([unit, [0.0, 0.0, 1.0]]))
+    sun = 0.95 * np.array([0.0, 0.0, 1.0]) - 0.62 * view.rotation[0] + 0.30 * view.level
+    sun /= np.linalg.norm(sun)
+    # Lambert's law, its dark half lightened, so that no two faces that are seen look the same.
+    steady = _AMBIENT + _FILL * np.clip(normals @ -view.rotation[2], 0.0, None) + 0.03 * normals[:, 2]
+    light = steady.astype(np.float32)[np.where(what == kernels.NOTHING, len(unit), what % len(unit))]
+    low, high = centres.min(axis=0), centres.max(axis=0)
+    across_all = float(np.linalg.norm(high - low)) + 2.0 * lattice.covering_radius
+    texel = np.clip(across_all / _MAP_SIDES[0], lattice.resolution / _TEXELS[1], lattice.resolution / _TEXELS[0])
+    texel = max(float(texel), across_all / _MAP_SIDES[1])
+    lift = _LIFT * texel
+    open_ground = float(steady[-1])
+    tops = np.empty(0, np.float32)
+    for direction, brightness in (*_sky(), *_sunlight(sun)):
+        frame = _frame_along(direction)
+        shape = _shape_along(lattice, frame, texel)
+        margin = (len(shape) // 2 + 2) * texel
+        across = frame[:2] @ np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1)
+        start = across.min(axis=1) - margin
+        counts = np.ceil((across.max(axis=1) + margin - start) / texel).astype(int) + 1
+        if tops.size < counts.prod():
+            tops = np.empty(int(1.2 * counts.prod()), np.float32)
+        window = tops[: counts.prod()].reshape(counts)
+        kernels.stamp(centres, bits, frame, start, texel, shape, window)
+        kernels.shine(places, what, normals, lift, frame, start, texel, window, brightness, light)
+        open_ground += brightness * float(direction[2])
+    ground = what == kernels.NOTHING
+    light[ground] = 1.0 - _GROUND_SHADOW * (1.0 - light[ground] / np.float32(open_ground))
+    # Bright faces are compressed, as film does: yellow ones would else all be the same white.
+    bright = ~ground & (light > _SHOULDER)
+    room = np.float32(_BRIGHTEST - _SHOULDER)
+    light[bright] = np.float32(_SHOULDER) + room * (1.0 - np.exp((np.float32(_SHOULDER) - light[bright]) / room))
+    return light
+
+
+def _sky() -> list[tuple[FloatArray, float]]:
+    """Return directions over the upper half of the sphere, evenly, and how bright each is."""
+    k = np.arange(_SKY) + 0.5
+    z = k / _SKY
+    turn = k * math.pi * (3.0 - math.sqrt(5.0))
+    r = np.sqrt(1.0 - z**2)
+    bright = 0.65 + 0.35 * z
+    # Together they light a face that looks up with the sky's part.
+    bright *= _SKY_PART / float((bright * z).sum())
+    out = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    return [(direction, float(b)) for direction, b in zip(out, bright, strict=True)]
+
+
+def _sunlight(sun: FloatArray) -> list[tuple[FloatArray, float]]:
+    """Return directions over the disc of the sun, evenly, and how bright each is."""
+    frame = _frame_along(sun)
+    out = []
+    for i in range(_SUN):
+        r, turn = _SUN_RADIUS * math.sqrt((i + 0.5) / _SUN), i * math.pi * (3.0 - math.sqrt(5.0))
+        direction = sun + r * (math.cos(turn) * frame[0] + math.sin(turn) * frame[1])
+        out.append((direction / np.linalg.norm(direction), _SUN_PART / _SUN))
+    return out
+
+
+def _frame_along(direction: FloatArray) -> FloatArray:
+    """Return two axes across a direction, and the direction, as rows (3, 3)."""
+    helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    first = np.cross(direction, helper)
+    first /= np.linalg.norm(first)
+    return np.ascontiguousarray(np.stack([first, np.cross(direction, first), direction]))
+
+
+def _shape_along(lattice: Lattice, frame: FloatArray, texel: float) -> NDArray[np.float32]:
+    """Return how high (K, K) the cell is along a direction, above its centre; -inf beside it."""
+    cell = lattice.cell
+    k = math.ceil(lattice.covering_radius / texel - 0.5)
+    steps = np.arange(-k, k + 1) * texel
+    normals = cell.normals @ frame.T
+    half = 0.5 * (cell.normals**2).sum(axis=1)
+    a, b = steps[:, None, None], steps[None, :, None]
+    left = half - normals[:, 0] * a - normals[:, 1] * b
+    slope = normals[:, 2]
+    # A ray along the direction leaves through the nearest of the planes that it meets from inside.
+    flat = np.abs(slope) < 1e-9 * np.sqrt(half)
+    up, down = (slope > 0.0) & ~flat, (slope < 0.0) & ~flat
+    top = (left[:, :, up] / slope[up]).min(axis=2)
+    base = (left[:, :, down] / slope[down]).max(axis=2)
+    inside = (base <= top) & (left[:, :, flat] >= 0.0).all(axis=2)
+    return np.where(inside, top, -np.inf).astype(np.float32)
+
+
+# ---------------------------------------------------------------------- colours
+
+
+def _linear(colours: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return sRGB bytes as linear light, 0 to 1."""
+    part = np.arange(256) / 255.0
+    table = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    return np.ascontiguousarray(table[colours], dtype=np.float32)
+
+
+def _encoded(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return linear light as sRGB bytes."""
+    # The dark end of the curve is steep: looked up by the square root, 4096 steps are enough.
+    steps = np.rint(4096.0 * np.sqrt(np.clip(image, 0.0, 1.0))).astype(np.int16)
+    part = (np.arange(4097) / 4096.0) ** 2
+    table = np.where(part <= 0.0031308, part * 12.92, 1.055 * part ** (1 / 2.4) - 0.055)
+    return np.rint(255.0 * table).astype(np.uint8)[steps]

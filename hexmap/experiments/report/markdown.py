@@ -1,0 +1,58 @@
+"""A report as Markdown, in which text that looks like markup is shown as it stands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from hexmap.experiments.report.pieces import MARKS, Figure, Heading, Paragraph, Piece, Table, versions
+
+
+def _md(text: str) -> str:
+    """Return text that Markdown shows as it stands, on one line."""
+    line = re.sub(r"([\\`*_\[\]<>|~$&])", r"\\\1", " ".join(text.split()))
+    # What begins a list, a heading or a rule only does so at the beginning of a line.
+    line = re.sub(r"^([#+=-])", r"\\\1", line)
+    return re.sub(r"^(\d+)([.)])(?= |$)", r"\1\\\2", line)
+
+
+def _md_table(header: Sequence[str], right: Sequence[bool], rows: Sequence[Sequence[str]]) -> str:
+    rule = ["---:" if side else "---" for side in right]
+    lines = [[_md(cell) for cell in line] for line in (header, *rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))
+
+
+def _md_code(text: str) -> str:
+    fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", text)), default=0))
+    return f"{fence}\n{text}\n{fence}"
+
+
+def markdown(title: str, command: str, settings: Mapping[str, str], pieces: Sequence[Piece]) -> str:
+    """Return the text of the report."""
+    blocks = [f"# {_md(title)}"]
+    if command:
+        blocks.append(_md_code(command))
+    for piece in pieces:
+        if isinstance(piece, Heading):
+            blocks.append(f"{'#' * piece.level} {_md(piece.text)}")
+        elif isinstance(piece, Paragraph):
+            blocks.append(_md(piece.text))
+        elif isinstance(piece, Table):
+            if piece.columns:
+                blocks.append(_md_table(list(piece.columns.values()), piece.numeric, piece.texts))
+            source = f"[{_md(piece.name)}.csv]({piece.name}.csv)"
+            blocks.append(f"{_md(piece.note)} {source}".strip())
+        elif isinstance(piece, Figure):
+            blocks.append(f"![{_md(piece.caption)}]({piece.name}.png)")
+            blocks.append(f"**Figure {piece.number}.** {_md(piece.caption)} [PDF]({piece.name}.pdf)")
+        else:
+            rows = [(r.section, r.claim, f"{MARKS[r.outcome]} {r.outcome}", r.evidence, r.rule) for r in piece.rows]
+            header = ("Section", "Claim", "Verdict", "Evidence", "Rule")
+            blocks += [_md(piece.summary) + "."] if piece.rows else []
+            blocks.append(_md_table(header, [False] * 5, rows))
+            blocks.append(f"[{_md(piece.name)}.csv]({piece.name}.csv)")
+    blocks.append("---")
+    if settings:
+        blocks.append(_md_table(("Setting", "Value"), (False, False), list(settings.items())))
+    blocks.append(_md(versions()))
+    return "\n\n".join(blocks) + "\n"

@@ -1,0 +1,139 @@
+"""What a report is made of: headings, paragraphs, tables, figures and verdicts, and the text that they hold.
+
+A piece holds what every format shows of it, as clean plain text; each format escapes what it must.
+"""
+
+from __future__ import annotations
+
+import platform
+import re
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from hexmap.base.errors import ArgumentError
+from hexmap.base.version import __version__
+
+Outcome = Literal["holds", "holds in part", "does not hold"]
+
+MARKS: dict[str, str] = {"holds": "✓", "holds in part": "◐", "does not hold": "✗"}
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of a claim.
+
+    Attributes:
+        claim: in one sentence.
+        section: where it is made, such as ``"IV-B"``.
+        outcome: what the data say.
+        rule: by which the outcome was computed.
+        evidence: the numbers it was computed from.
+
+    Raises:
+        ArgumentError: an outcome of another name.
+    """
+
+    claim: str
+    section: str
+    outcome: Outcome
+    rule: str
+    evidence: str
+
+    def __post_init__(self) -> None:
+        if self.outcome not in get_args(Outcome):
+            raise ArgumentError(f"an outcome is one of {', '.join(get_args(Outcome))}, not {self.outcome!r}")
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading, and where links to it lead."""
+
+    text: str
+    level: int
+    anchor: str
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph, on one line."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: what its file holds, and what a page shows."""
+
+    name: str
+    columns: dict[str, str]  # key -> heading
+    rows: list[dict[str, Any]]
+    texts: list[list[str]]  # as shown
+    numeric: list[bool]
+    caption: str | None
+    shown: int
+
+    @property
+    def note(self) -> str:
+        """Return the caption, and what the table leaves out."""
+        hidden = len(self.rows) - self.shown
+        words = f"The first {self.shown:,} of {len(self.rows):,} rows." if hidden > 0 else ""
+        return " ".join(part for part in (self.caption, words) if part)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure, drawn in every format."""
+
+    name: str
+    number: int
+    caption: str
+    files: dict[str, bytes]  # kind -> content
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """Claims and what became of each."""
+
+    name: str
+    rows: list[Verdict]
+
+    @property
+    def summary(self) -> str:
+        """Return how many of which outcome."""
+        counts = [(outcome, sum(row.outcome == outcome for row in self.rows)) for outcome in get_args(Outcome)]
+        words = {"holds": "hold", "holds in part": "hold in part", "does not hold": "do not hold"}
+        return ", ".join(f"{count} {outcome if count == 1 else words[outcome]}" for outcome, count in counts if count)
+
+
+Piece = Heading | Paragraph | Table | Figure | Verdicts
+
+
+# ---------------------------------------------------------------------- text
+
+
+def clean(text: object) -> str:
+    """Return text that every format can hold: no control characters, no halves of characters."""
+    whole = str(text).encode("utf-8", "replace").decode()
+    return re.sub(r"[^\t\n\r\x20-\x7e\xa0-\ufffd\U00010000-\U0010ffff]", "\N{REPLACEMENT CHARACTER}", whole)
+
+
+def flat(text: object) -> str:
+    """Return clean text on one line."""
+    return " ".join(clean(text).split())
+
+
+def versions() -> str:
+    """Return the versions that numbers and figures may depend on, for the foot of a page."""
+    import matplotlib
+
+    parts = {
+        "hexmap": __version__,
+        "Python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": metadata.version("numba"),
+        "matplotlib": matplotlib.__version__,
+    }
+    return ", ".join(f"{name} {version}" for name, version in parts.items())

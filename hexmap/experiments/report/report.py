@@ -1,0 +1,203 @@
+"""Reports of experiments: one HTML file that needs no other, Markdown, a CSV a table, figures as PNG and PDF.
+
+A report is put together piece by piece, in the order in which it is read, and written at the end. The same
+pieces give the same bytes: there is no date in it, and of the machine only the versions that numbers may
+depend on. All text is plain text; what looks like markup in it is shown as it stands.
+
+    report = Report("Rotation", "hexmap experiment rotation hall.pcd -o report/", {"volume": 0.001})
+    report.heading("Voxel count")
+    report.table("summary", [{"lattice": "D3", "variability": bootstrap(counts, cv, rng=rng)}])
+    report.figure("counts", figure, "Voxel count over the angle.")
+    report.write("report")
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import ArgumentError, FileAccessError
+from hexmap.experiments.report import pieces as pieces
+from hexmap.experiments.report.csv_tables import csv_table, csv_verdicts
+from hexmap.experiments.report.figures import COLOURS, figure_style, render
+from hexmap.experiments.report.html import Page
+from hexmap.experiments.report.markdown import markdown
+from hexmap.experiments.report.numbers import Format, column, format_interval, format_number, is_numeric, scalar
+from hexmap.experiments.report.pieces import Outcome, Verdict, clean, flat
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["COLOURS", "Format", "Outcome", "Report", "Verdict", "figure_style", "format_interval", "format_number"]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+class Report:
+    """A report that is put together piece by piece, and then written.
+
+    Args:
+        title: of the report.
+        command: that made it, as one would type it again.
+        settings: all that was set, by name; values that JSON can hold.
+    """
+
+    def __init__(self, title: str, command: str = "", settings: Mapping[str, Any] | None = None) -> None:
+        self.title, self.command = clean(title), clean(command)
+        self.settings = {clean(name): _setting(value) for name, value in (settings or {}).items()}
+        self._pieces: list[pieces.Piece] = []
+        self._names: set[str] = set()
+        self._anchors: set[str] = set()
+
+    def heading(self, text: str, level: int = 2) -> None:
+        """Add a heading; level 2 is a section, 3 and 4 are below it.
+
+        Raises:
+            ArgumentError: another level.
+        """
+        if level not in (2, 3, 4):
+            raise ArgumentError(f"a heading has level 2, 3 or 4, not {level!r}")
+        text = flat(text)
+        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "section"
+        anchor, n = words, 1
+        while anchor in self._anchors:
+            n += 1
+            anchor = f"{words}-{n}"
+        self._anchors.add(anchor)
+        self._pieces.append(pieces.Heading(text, level, anchor))
+
+    def paragraph(self, text: str) -> None:
+        """Add a paragraph, or several where empty lines separate them."""
+        for part in re.split(r"\n\s*\n", clean(text)):
+            if part.strip():
+                self._pieces.append(pieces.Paragraph(" ".join(part.split())))
+
+    def table(
+        self,
+        name: str,
+        rows: Sequence[Mapping[str, Any]],
+        columns: Sequence[str] | Mapping[str, str] | None = None,
+        formats: Mapping[str, Format] | None = None,
+        caption: str | None = None,
+        *,
+        shown: int = 200,
+    ) -> None:
+        """Add a table; it also becomes the file ``<name>.csv``, with all rows and all digits.
+
+        An :class:`~hexmap.experiments.statistics.Interval` is shown with its ends, and takes three columns
+        of the CSV: ``key``, ``key_low``, ``key_high``.
+
+        Args:
+            name: of the file, with or without ``.csv``.
+            rows: dictionaries of numbers, text, intervals, booleans and None.
+            columns: the keys to show, in order, or key -> heading; all keys, as they come, where not given.
+            formats: key -> a specification (``".3f"``, ``".2%"``) or a function from a value to text. Without
+                one a column gets as many decimals as suit all of it.
+            caption: a sentence, without the word "Table".
+            shown: rows in the page; the CSV has them all.
+
+        Raises:
+            ArgumentError: a name that is no file name or is taken, or a format that is none.
+        """
+        name = self._take(name.removesuffix(".csv"), "csv")
+        if columns is None:
+            columns = list(dict.fromkeys(key for row in rows for key in row))
+        headings = dict(columns) if isinstance(columns, Mapping) else {key: key for key in columns}
+        kept = [{key: scalar(row.get(key)) for key in headings} for row in rows]
+        texts, numeric = [], []
+        for key in headings:
+            cells = [row[key] for row in kept]
+            texts.append([flat(text) for text in column(cells[:shown], (formats or {}).get(key))])
+            numeric.append(is_numeric(cells[:shown], texts[-1]))
+        lines = [list(line) for line in zip(*texts, strict=True)]
+        shown_as = {key: flat(heading) for key, heading in headings.items()}
+        note = None if caption is None else flat(caption)
+        self._pieces.append(pieces.Table(name, shown_as, kept, lines, numeric, note, shown))
+
+    def figure(self, name: str, figure: Figure, caption: str) -> None:
+        """Add a figure, as it is now; it also becomes the files ``<name>.png`` and ``<name>.pdf``.
+
+        Args:
+            name: of the files.
+            figure: of matplotlib; not changed, and not needed any more afterwards.
+            caption: what it shows, without the word "Figure".
+
+        Raises:
+            ArgumentError: a name that is no file name or is taken.
+        """
+        name = self._take(name, "png", "pdf")
+        number = 1 + sum(isinstance(piece, pieces.Figure) for piece in self._pieces)
+        files = {kind: render(figure, kind) for kind in ("png", "pdf", "svg")}
+        self._pieces.append(pieces.Figure(name, number, flat(caption), files))
+
+    def verdicts(self, rows: Sequence[Verdict], name: str = "verdicts") -> None:
+        """Add the claims and what became of each; they also become the file ``<name>.csv``.
+
+        Raises:
+            ArgumentError: a name that is no file name or is taken.
+        """
+        name = self._take(name.removesuffix(".csv"), "csv")
+        kept = [
+            Verdict(flat(row.claim), flat(row.section), row.outcome, flat(row.rule), flat(row.evidence)) for row in rows
+        ]
+        self._pieces.append(pieces.Verdicts(name, kept))
+
+    def write(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write the report into a folder, which is made if it does not exist.
+
+        Every file is the old one or the whole new one; the pages come last, so that they never lack what they
+        show.
+
+        Returns:
+            ``report.html``, ``report.md``, and then the tables and figures in their order.
+
+        Raises:
+            FileAccessError: a file or the folder cannot be written.
+        """
+        target = Path(folder)
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FileAccessError(f"{target}: cannot be written: {error.strerror or error}") from error
+        files: dict[str, bytes] = {}
+        for piece in self._pieces:
+            if isinstance(piece, pieces.Table):
+                files[f"{piece.name}.csv"] = csv_table(piece)
+            elif isinstance(piece, pieces.Verdicts):
+                files[f"{piece.name}.csv"] = csv_verdicts(piece)
+            elif isinstance(piece, pieces.Figure):
+                files.update({f"{piece.name}.{kind}": piece.files[kind] for kind in ("png", "pdf")})
+        parts = (self.title, self.command, self.settings, self._pieces)
+        pages = {"report.html": Page(*parts).text().encode(), "report.md": markdown(*parts).encode()}
+        for name, content in (*files.items(), *pages.items()):
+            with atomic_write(target / name) as handle:
+                handle.write(content)
+        return [target / name for name in (*pages, *files)]
+
+    def _take(self, name: str, *suffixes: str) -> str:
+        if not _NAME.fullmatch(name):
+            raise ArgumentError(f"{name!r} is not a name of letters, digits, points, hyphens and underscores")
+        for suffix in suffixes:
+            # Some file systems do not tell capitals from small letters.
+            file = f"{name}.{suffix}".lower()
+            if file in self._names:
+                raise ArgumentError(f"the report already has a file {name}.{suffix}")
+            self._names.add(file)
+        return name
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, str):
+        return clean(value)
+    return clean(json.dumps(value, ensure_ascii=False, default=_json_value))
+
+
+def _json_value(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

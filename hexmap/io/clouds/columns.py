@@ -1,0 +1,83 @@
+"""What the readers of point files share: what they hand over, the choice of columns, and words for messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.errors import FormatError
+
+Columns: TypeAlias = Sequence[str | int]
+
+
+@dataclass
+class Raw:
+    """What a reader hands over: values (N, 2) or (N, 3) as stored, and what was not as it should be."""
+
+    values: FloatArray
+    warnings: list[str] = field(default_factory=list)
+
+
+def choose_columns(path: Path, names: Sequence[str], columns: Columns | None, what: str) -> list[int]:
+    """Return the places of x, y (and z, if there) among ``names``, or of the columns asked for.
+
+    Args:
+        path: the file, for the message.
+        names: what the file calls its columns, in order.
+        columns: names, or numbers from 0, of two or three of them; None: x, y and z by name.
+        what: what the format calls its columns ("fields", "properties").
+
+    Raises:
+        FormatError: one of them is not in the file.
+    """
+    listed = [name.lower() for name in names]
+    if columns is None:
+        wanted: Columns = ("x", "y", "z") if "z" in listed else ("x", "y")
+    else:
+        wanted = columns
+    found = []
+    for column in wanted:
+        key = str(column).strip().lower()
+        # A name wins over a number, so that a column called "0" can be had.
+        if isinstance(column, str) and key in listed:
+            found.append(listed.index(key))
+        elif key.isdecimal() and int(key) < len(names):
+            found.append(int(key))
+        else:
+            have = " ".join(shown(name) for name in names[:12]) + (" ..." if len(names) > 12 else "")
+            raise FormatError(f"{path}: no {shown(str(column))!r} among the {what} of the file: {have or 'none'}")
+    return found
+
+
+def gather(records: NDArray[np.void], names: Sequence[str]) -> FloatArray:
+    """Return the fields ``names`` of a structured array as the columns of an (N, n) float64 array."""
+    out = np.empty((len(records), len(names)), dtype=np.float64)
+    # A signalling NaN among float32 makes the conversion warn; such points are dropped later.
+    with np.errstate(invalid="ignore", over="ignore"):
+        for k, name in enumerate(names):
+            out[:, k] = records[name]
+    return out
+
+
+def integer(token: str) -> int | None:
+    """Return a token of a header as a whole number, or None where it is none."""
+    # ASCII, and not too long: int() takes other scripts' digits and chokes on thousands of its own.
+    return int(token) if token.isascii() and token.isdigit() and len(token) < 19 else None
+
+
+def shown(token: bytes | str, length: int = 24) -> str:
+    """Return a token of a file fit to be quoted in a message."""
+    text = token.decode("utf-8", "replace") if isinstance(token, bytes) else token
+    text = text if len(text) <= length else text[:length] + "..."
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
+def plural(count: int, noun: str) -> str:
+    """Return "1 point", "3 points"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

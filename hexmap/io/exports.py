@@ -1,0 +1,129 @@
+"""Maps in the formats of others: ROS map_server images, tables of cells (CSV) and points (PLY).
+
+Each function writes one level of a map, whole files only. What is occupied and free is the map's
+own rule, :meth:`hexmap.maps.Map.state`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from hexmap.base.atomic_files import PathLike, atomic_write
+from hexmap.base.errors import ArgumentError
+from hexmap.io.ros_map import export_ros
+from hexmap.lattice.keys import unpack
+from hexmap.maps.map import Map
+from hexmap.maps.state_rule import FREE, OCCUPIED, StateRule
+
+__all__ = ["export", "export_csv", "export_ply", "export_ros"]
+
+
+_STATE_NAMES = ("unknown", "free", "occupied")
+
+
+def export(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
+    """Write a level of a map in the format that the suffix of ``path`` names.
+
+    Args:
+        map: the map.
+        path: ``.yaml`` or ``.yml`` for ROS map_server (with a ``.pgm`` beside it), ``.csv`` for a table
+            of cells, ``.ply`` for the occupied centres as points.
+        level: which level, 0 is the finest.
+        rule: what makes a cell occupied or free; the default rule where none is given.
+
+    Returns:
+        The files written.
+
+    Raises:
+        ArgumentError: a suffix that is not known, a level that the map has not, or a map in space
+            for ROS.
+        FileAccessError: a file cannot be written.
+    """
+    formats: dict[str, Callable[[Map, PathLike, int, StateRule | None], list[Path]]] = {
+        ".yaml": export_ros,
+        ".yml": export_ros,
+        ".csv": export_csv,
+        ".ply": export_ply,
+    }
+    suffix = Path(path).suffix.lower()
+    if suffix not in formats:
+        raise ArgumentError(
+            f"{path}: cannot export to {suffix or 'a file without a suffix'}; known are {', '.join(formats)}"
+        )
+    return formats[suffix](map, path, level, rule)
+
+
+def export_csv(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
+    """Write the cells of a level as a table, one line a cell that was hit or passed.
+
+    Columns: ``level,a,b(,c),x,y(,z),hits,passes,state``; x, y, z is the cell's centre in metres, with
+    all digits, and state is ``occupied``, ``free`` or ``unknown``.
+
+    Args:
+        map: the map.
+        path: the file.
+        level: which level, 0 is the finest.
+        rule: what makes a cell occupied or free.
+
+    Returns:
+        The file written.
+
+    Raises:
+        ArgumentError: there is no such level.
+        FileAccessError: the file cannot be written.
+    """
+    path = Path(path)
+    states = map.state(rule, level)
+    keys, hits, passes = map.level(level).columns()
+    lattice = map.level(level).lattice
+    index = unpack(keys, lattice.dim)
+    # The lists of occupied and free cells are sorted as the keys are: no need to look each cell up.
+    state = np.zeros(len(keys), np.int64)
+    state[np.searchsorted(keys, states.free.keys)] = FREE
+    state[np.searchsorted(keys, states.occupied.keys)] = OCCUPIED
+    columns: list[list[object]] = [*index.T.tolist(), *lattice.centres(index).T.tolist()]
+    columns += [hits.tolist(), passes.tolist(), [_STATE_NAMES[s] for s in state.tolist()]]
+    line = f"{level}," + ",".join(["%s"] * len(columns)) + "\n"
+    axes, places = ("a", "b", "c")[: lattice.dim], ("x", "y", "z")[: lattice.dim]
+    with atomic_write(path, "w") as handle:
+        handle.write(",".join(("level", *axes, *places, "hits", "passes", "state")) + "\n")
+        handle.writelines(line % row for row in zip(*columns, strict=True))
+    return [path]
+
+
+def export_ply(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
+    """Write the centres of the occupied cells of a level as points: binary little-endian PLY.
+
+    Each vertex has ``double x y z`` in metres (z is 0 for a map in the plane) and ``uint hits``, which
+    stays at 2^32 - 1 where a cell was hit more often than that.
+
+    Args:
+        map: the map.
+        path: the file.
+        level: which level, 0 is the finest.
+        rule: what makes a cell occupied.
+
+    Returns:
+        The file written.
+
+    Raises:
+        ArgumentError: there is no such level.
+        FileAccessError: the file cannot be written.
+    """
+    path = Path(path)
+    occupied = map.state(rule, level).occupied
+    vertices = np.zeros(len(occupied), np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("hits", "<u4")]))
+    for axis, column in zip("xyz", occupied.centres().T, strict=False):
+        vertices[axis] = column
+    vertices["hits"] = np.minimum(occupied.counts, 2**32 - 1)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+        "property double x\nproperty double y\nproperty double z\nproperty uint hits\nend_header\n"
+    )
+    with atomic_write(path) as handle:
+        handle.write(header.encode("ascii"))
+        handle.write(vertices.tobytes())
+    return [path]

@@ -1,0 +1,307 @@
+"""A grid of squares or cubes that someone else published, as one value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexmap.base.errors import ArgumentError, BoundsError
+from hexmap.lattice.lattice import Lattice
+
+if TYPE_CHECKING:
+    from hexmap.graph.clearance import Boxes
+    from hexmap.graph.lattice_graph import LatticeGraph
+    from hexmap.graph.moves import Neighbourhood
+
+__all__ = ["BLOCKED", "FREE", "MAX_CELLS", "UNKNOWN", "GridMap"]
+
+BLOCKED, FREE, UNKNOWN = 0, 1, 2
+MAX_CELLS = 2_000_000_000  # of a dense array, a byte each
+_FINE = 2.0**32  # parts of a cell that quotients are rounded to
+_OUTSIDE = 3  # what only the look-up itself sees
+
+
+@dataclass(frozen=True, eq=False)
+class GridMap:
+    """The cells of a square or cubic grid, where it lies, and what each cell is; an immutable value.
+
+    The cell i holds the points origin + R(yaw) [i cell, (i + 1) cell), where R turns about the origin
+    (in space about the z axis). A point on the border of two cells is in the one of the higher index;
+    quotients are rounded to 2^-32 of a cell first, so that this does not hang on how they were computed.
+
+    Attributes:
+        states: (nx, ny[, nz]) uint8, :data:`BLOCKED` 0, :data:`FREE` 1 or :data:`UNKNOWN` 2, indexed by x, y(, z).
+        cell: edge of a cell, metres.
+        origin: (n,) float64, metres, the low corner of the cell 0, 0(, 0).
+        yaw: by how much the grid is turned about its origin, radians, counter-clockwise.
+        path: the file it came from.
+        kind: "movingai", "warframe", "ros" or "octomap"; "" for one's own.
+        y_down: whether pictures show y downwards, as MovingAI counts rows from the top.
+
+    Examples:
+        >>> world = GridMap(np.array([[1, 0], [1, 1]], np.uint8), 0.5, [0, 0])
+        >>> world.state_at([[0.1, 0.1], [0.1, 0.6], [7, 7]]).tolist()
+        [1, 0, 0]
+    """
+
+    states: NDArray[np.uint8] = field(repr=False)
+    cell: float
+    origin: NDArray[np.float64]
+    yaw: float = 0.0
+    path: str = ""
+    kind: str = ""
+    y_down: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the values and make the arrays read-only.
+
+        Raises:
+            ArgumentError: the states are not uint8 of 0 to 2 with two or three dimensions and at least one
+                cell, or the other values are not finite numbers of their shape.
+        """
+        states = np.asarray(self.states)
+        if states.ndim not in (2, 3) or states.dtype != np.uint8 or states.size == 0:
+            raise ArgumentError(
+                f"the states of a grid are uint8 (nx, ny) or (nx, ny, nz), not {states.dtype} {states.shape}"
+            )
+        if int(states.max()) > UNKNOWN:
+            raise ArgumentError(f"the state of a cell is 0 blocked, 1 free or 2 unknown, not {int(states.max())}")
+        if states.flags.writeable or not states.flags.c_contiguous:
+            states = np.array(states, order="C")
+        try:
+            cell, yaw = float(self.cell), float(self.yaw)
+            origin = np.array(self.origin, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ArgumentError(
+                f"a grid takes numbers for its cell, origin and yaw, not {self.cell!r}, {self.origin!r}, {self.yaw!r}"
+            ) from None
+        if not (math.isfinite(cell) and cell > 0.0):
+            raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {self.cell!r}")
+        if origin.shape != (states.ndim,) or not np.isfinite(origin).all():
+            raise ArgumentError(f"the origin of a grid is {states.ndim} finite numbers, not {self.origin!r}")
+        if not math.isfinite(yaw):
+            raise ArgumentError(f"the yaw of a grid must be a finite number of radians, not {self.yaw!r}")
+        for array in (states, origin):
+            array.setflags(write=False)
+        for name, value in (("states", states), ("cell", cell), ("origin", origin), ("yaw", yaw)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def dim(self) -> int:
+        """2 or 3."""
+        return self.states.ndim
+
+    @cached_property
+    def has_unknown(self) -> bool:
+        """Whether any cell is unknown."""
+        return bool((self.states == UNKNOWN).any())
+
+    @cached_property
+    def _box(self) -> NDArray[np.float64]:
+        """The two corners (2, n) of the box that holds the grid."""
+        n = self.dim
+        ends = np.array([[s if (c >> i) & 1 else 0 for i, s in enumerate(self.states.shape)] for c in range(2**n)])
+        corners = self._turned(ends * self.cell) + self.origin
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+    @property
+    def low(self) -> NDArray[np.float64]:
+        """(n,) low corner, metres, of the box that holds the grid, turned or not."""
+        return self._box[0].copy()
+
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """(n,) high corner, metres, of the box that holds the grid, turned or not."""
+        return self._box[1].copy()
+
+    def _turned(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return vectors (M, n) of the grid's own axes in the world's."""
+        if self.yaw == 0.0:
+            return v
+        out = v.copy()
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        out[:, 0] = c * v[:, 0] - s * v[:, 1]
+        out[:, 1] = s * v[:, 0] + c * v[:, 1]
+        return out
+
+    def _points(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Return points as (N, n) float64, contiguous."""
+        p = np.ascontiguousarray(points, dtype=np.float64)
+        if p.size == 0 and p.ndim != 2:
+            p = p.reshape(0, self.dim)
+        if p.ndim != 2 or p.shape[1] != self.dim:
+            raise ArgumentError(f"points in a grid of dimension {self.dim} are (N, {self.dim}), not {p.shape}")
+        return p
+
+    def _look_up(self, points: ArrayLike, outside: int) -> NDArray[np.uint8]:
+        from hexmap.io.grids import _kernels as kernels
+
+        p = self._points(points)
+        out = np.empty(len(p), np.uint8)
+        c, s = (1.0, 0.0) if self.yaw == 0.0 else (math.cos(self.yaw), math.sin(self.yaw))
+        shape = np.array(self.states.shape, np.int64)
+        kernels.look_up(p, self.origin, self.cell, c, s, shape, self.states.reshape(-1), outside, out)
+        return out
+
+    def state_at(self, points: ArrayLike) -> NDArray[np.uint8]:
+        """Return the state (N,) uint8 of the cell that each of ``points`` (N, n), metres, lies in.
+
+        Outside the grid all is blocked, and so is a point that is not finite.
+
+        Raises:
+            ArgumentError: the array is not (N, n).
+        """
+        return self._look_up(points, BLOCKED)
+
+    def free_at(self, points: ArrayLike, unknown: Literal["blocked", "free"] = "blocked") -> NDArray[np.bool_]:
+        """Tell for each of ``points`` (N, n), metres, whether its cell is free.
+
+        Args:
+            points: (N, n), metres.
+            unknown: what unknown cells count as; outside the grid all is blocked nevertheless.
+
+        Raises:
+            ArgumentError: the array is not (N, n), or there is no such option.
+        """
+        _check_unknown(unknown)
+        states = self.state_at(points)
+        return states != BLOCKED if unknown == "free" else states == FREE
+
+    def centre(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """Return the centres (M, n), metres, of cells (M, n), which may lie outside the grid.
+
+        Raises:
+            ArgumentError: the array is not (M, n).
+        """
+        return self._turned((self._points(cells) + 0.5) * self.cell) + self.origin
+
+    def cell_of(self, points: ArrayLike) -> NDArray[np.int64]:
+        """Return the cells (M, n) int64 that ``points`` (M, n), metres, lie in, within the grid or not.
+
+        Raises:
+            ArgumentError: the array is not (M, n).
+            BoundsError: a point is not finite or too far away to count cells.
+        """
+        d = self._points(points) - self.origin
+        if self.yaw != 0.0:
+            c, s = math.cos(self.yaw), math.sin(self.yaw)
+            d = np.concatenate([(c * d[:, :1] + s * d[:, 1:2]), (c * d[:, 1:2] - s * d[:, :1]), d[:, 2:]], axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            q = np.floor(np.rint(d / self.cell * _FINE) / _FINE)
+        wrong = ~(np.abs(q) < 2.0**62).all(axis=1)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise BoundsError(f"point {row} is not finite or out of range: {self._points(points)[row].tolist()}")
+        return q.astype(np.int64)
+
+    def turned(self, angle: float, about: ArrayLike | None = None) -> GridMap:
+        """Return the same map turned counter-clockwise, in space about the z axis.
+
+        Args:
+            angle: radians.
+            about: the point (n,), metres, that stays where it is; the grid's middle where none is given.
+
+        Raises:
+            ArgumentError: the angle is not finite, or ``about`` is not a point.
+        """
+        if not math.isfinite(angle):
+            raise ArgumentError(f"an angle must be a finite number of radians, not {angle!r}")
+        if about is None:
+            fixed = self.centre(np.array([self.states.shape]) / 2.0 - 0.5)[0]
+        else:
+            fixed = np.asarray(about, dtype=np.float64)
+            if fixed.shape != (self.dim,) or not np.isfinite(fixed).all():
+                raise ArgumentError(f"the point to turn about is {self.dim} finite numbers, not {about!r}")
+        origin = self.origin.copy()
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = (self.origin - fixed)[:2]
+        origin[0] = fixed[0] + c * x - s * y
+        origin[1] = fixed[1] + s * x + c * y
+        return replace(self, origin=origin if angle else self.origin, yaw=self.yaw + angle)
+
+    def to_graph(
+        self,
+        lattice: Lattice,
+        *,
+        unknown: Literal["blocked", "free"] = "blocked",
+        neighbourhood: Neighbourhood = None,
+        max_cells: int | None = None,
+    ) -> LatticeGraph:
+        """Rasterise the world onto a lattice: a cell is what its centre lies in.
+
+        At the resolution of :attr:`cell` a square or cubic lattice gives a MovingAI or Warframe map index for index.
+        On another lattice of the same cell size routes leak through walls of one cell: take a half or a quarter of it.
+        Clearance to an obstacle's centre is measured from the lattice's blocked cells whose centre is in
+        the grid, clearance to an obstacle's cell from the grid's own blocked squares or cubes, turned as they
+        are; unknown cells and what lies outside are no obstacles.
+
+        Args:
+            lattice: the lattice to rasterise onto, of the world's dimension.
+            unknown: what unknown cells count as.
+            neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
+            max_cells: how large a window may be, padding included.
+
+        Raises:
+            ArgumentError: the lattice has another dimension, no centre lies in the grid's box, or the
+                window is too large.
+            BoundsError: the window leaves the range of indices.
+        """
+        from hexmap.graph import lattice_graph as graphs
+
+        _check_unknown(unknown)
+        if lattice.dim != self.dim:
+            raise ArgumentError(
+                f"a world of dimension {self.dim} does not fit {lattice.name}, of dimension {lattice.dim}"
+            )
+        # A centre on the grid's border belongs to the grid or not, as the look-up decides it.
+        grain = self.cell / _FINE
+        low, high = self.low - 0.25 * grain, self.high - grain
+        occupied_at: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
+        if self.yaw != 0.0 or self.has_unknown:
+            low, high = self.low - grain, self.high + grain
+            occupied_at = self._blocked_at
+        graph = graphs.LatticeGraph.rasterise(
+            lambda points: self.free_at(points, unknown),
+            lattice,
+            low,
+            high,
+            neighbourhood=neighbourhood,
+            max_cells=graphs.MAX_CELLS if max_cells is None else max_cells,
+            occupied_at=occupied_at,
+        )
+        graph._obstacles.source = self._blocked_boxes
+        return graph
+
+    def _blocked_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell for each of points (N, n) whether it lies in a blocked cell of the grid."""
+        return self._look_up(points, _OUTSIDE) == BLOCKED
+
+    def _blocked_boxes(self) -> Boxes:
+        """Return the blocked cells as boxes, but for those with blocked cells across all their faces."""
+        from hexmap.graph.clearance import Boxes
+
+        solid = self.states == BLOCKED
+        surface = np.pad(solid, 1)
+        inner = surface.copy()
+        for axis in range(self.dim):
+            for step in (-1, 1):
+                inner &= np.roll(surface, step, axis=axis)
+        cells = np.argwhere(surface & ~inner) - 1
+        return Boxes(
+            centres=self.centre(cells),
+            edge=self.cell,
+            frame=np.ascontiguousarray(self._turned(np.eye(self.dim))),
+            grain=self.cell / _FINE,
+            contains=self._blocked_at,
+        )
+
+
+def _check_unknown(unknown: str) -> None:
+    if unknown not in ("blocked", "free"):
+        raise ArgumentError(f"unknown cells are blocked or free, not {unknown!r}")

@@ -1,0 +1,80 @@
+"""Open a map of someone else: its format is found by its content."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+from hexmap.base.errors import ArgumentError, FormatError
+from hexmap.io.grids.grid_map import GridMap
+from hexmap.io.grids.read_bytes import read_bytes, shown
+
+__all__ = ["open_grid"]
+
+_KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map or an OctoMap .bt"
+_PICTURES = (b"P2", b"P5", b"\x89PNG")
+
+
+def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> GridMap:
+    """Read a published map; its format is found by its content, and by its name where that leaves it open.
+
+    Args:
+        path: a ``.map`` or ``.3dmap`` (plain or gzip), the ``.yaml`` of a ROS map_server map with its
+            image beside it, or a ``.bt``.
+        cell: metres an edge of a cell, for MovingAI and Warframe, which name none; 1 where none is given.
+
+    Returns:
+        The map. The cell (x, y(, z)) of a MovingAI or Warframe map has its *centre* at that index times ``cell``.
+
+    Raises:
+        ArgumentError: ``cell`` is not positive, or the format has its own.
+        FileAccessError: a file is not there or cannot be read.
+        FormatError: a file is damaged or of a foreign kind; the text names the line where there is one.
+        TooLargeError: the map has more cells than a dense array may have.
+    """
+    path = Path(path)
+    if cell is not None and not (isinstance(cell, (int, float)) and math.isfinite(cell) and cell > 0.0):
+        raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {cell!r}")
+    data = read_bytes(path)
+    kind = _kind(path, data)
+    if kind in ("ros", "octomap") and cell is not None:
+        raise ArgumentError(f"{path}: the file says how large its cells are; a cell of {cell:g} m cannot change that")
+    # Each format's module is imported when it is needed.
+    if kind == "movingai":
+        from hexmap.io.grids import movingai
+
+        return movingai.parse(path, data, 1.0 if cell is None else float(cell))
+    if kind == "warframe":
+        from hexmap.io.grids import warframe
+
+        return warframe.parse(path, data, 1.0 if cell is None else float(cell))
+    if kind == "octomap":
+        from hexmap.io.grids import octomap
+
+        return octomap.parse(path, data)
+    from hexmap.io.grids import ros
+
+    return ros.parse(path, data)
+
+
+def _kind(path: Path, data: bytes) -> str:
+    """Return what a file is, by how it begins, then by its suffix."""
+    if data.startswith(_PICTURES):
+        raise FormatError(
+            f"{path}: a picture alone does not say where its map lies; "
+            f"name the .yaml of map_server ({path.with_suffix('.yaml').name})"
+        )
+    if data.startswith(b"# Octomap OcTree file"):
+        raise FormatError(f"{path}: this is a full OctoMap (.ot); write it as binary first (convert_octree)")
+    if data.startswith(b"version "):
+        raise FormatError(f"{path}: this is a scenario, the queries of a map; name the map itself")
+    for magic, kind in ((b"type ", "movingai"), (b"voxel ", "warframe"), (b"# Octomap", "octomap")):
+        if data.startswith(magic):
+            return kind
+    names = {".map": "movingai", ".3dmap": "warframe", ".yaml": "ros", ".yml": "ros", ".bt": "octomap"}
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
+    kind = names.get(suffixes[-1], "") if suffixes else ""
+    if not kind:
+        raise FormatError(f"{path}: of no known kind (it begins with {shown(data[:40])}); a map is {_KNOWN}")
+    return kind

@@ -1,0 +1,188 @@
+"""Benchmark problems with their published lengths: MovingAI ``.scen`` and Warframe ``.3dscen``."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.errors import FormatError
+from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.read_bytes import read_bytes, shown, whole
+
+__all__ = ["Scenario", "read_scenario"]
+
+_NUMBER = re.compile(rb"[0-9]+(\.[0-9]*)?([eE][-+]?[0-9]+)?")
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """Queries on one map, in the order of the file; arrays are read-only.
+
+    Published lengths are in cells. Those of MovingAI are octile (diagonal steps sqrt 2 long), those of
+    Warframe go to 26 neighbours; in both a diagonal step needs every cell of its square or cube free.
+
+    Attributes:
+        starts: (Q, n) int64 source cells, x, y(, z).
+        goals: (Q, n) int64 source cells.
+        lengths: (Q,) float64 published lengths, cells.
+        texts: the lengths as published, Q of them: "2.82843", "6".
+        lines: (Q,) int64 line of the file that each query stands in.
+        buckets: (Q,) int64 group of similar lengths, -1 in a ``.3dscen``.
+        size: (width, height) of the map that the file was made for, None in a ``.3dscen``.
+        map_name: the map as the file names it.
+        path: the file.
+    """
+
+    starts: NDArray[np.int64] = field(repr=False)
+    goals: NDArray[np.int64] = field(repr=False)
+    lengths: NDArray[np.float64] = field(repr=False)
+    texts: tuple[str, ...] = field(repr=False)
+    lines: NDArray[np.int64] = field(repr=False)
+    buckets: NDArray[np.int64] = field(repr=False)
+    size: tuple[int, int] | None
+    map_name: str
+    path: str = ""
+
+    def __len__(self) -> int:
+        """Return the number of queries."""
+        return len(self.lengths)
+
+    @property
+    def dim(self) -> int:
+        """2 or 3."""
+        return int(self.starts.shape[1])
+
+    @property
+    def decimals(self) -> NDArray[np.int64]:
+        """(Q,) digits after the point of each published length; the last ones may be zeros left out."""
+        return np.array([len(text.partition(".")[2]) for text in self.texts], np.int64)
+
+    def check(self, world: GridMap) -> None:
+        """Make sure that the queries are queries of this map: its size is theirs, and all their ends are free.
+
+        Raises:
+            FormatError: naming the first line that does not fit.
+        """
+        shape = world.states.shape
+        named = f"the map {world.path or 'given'}"
+        size = " x ".join(map(str, shape))
+        if self.dim != world.dim:
+            raise FormatError(f"{self.path}: its cells have {self.dim} coordinates, {named} has {world.dim} dimensions")
+        if self.size is not None and self.size != shape:
+            raise FormatError(
+                f"{self.path}: made for a map of {self.size[0]} x {self.size[1]} cells, {named} has {size}"
+            )
+        for what, cells in (("start", self.starts), ("goal", self.goals)):
+            inside = np.asarray((cells < np.array(shape)).all(axis=1))
+            fits: NDArray[np.bool_] = inside.copy()
+            fits[inside] = world.states[tuple(cells[inside].T)] == FREE
+            if not fits.all():
+                row = int(np.argmin(fits))
+                why = f"free in {named}" if inside[row] else f"in {named} of {size}"
+                cell = tuple(cells[row].tolist())
+                raise FormatError(f"{self.path}, line {self.lines[row]}: the {what} {cell} is not {why}")
+
+
+def read_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Read the queries of a ``.scen`` (MovingAI, version 1) or a ``.3dscen`` (Warframe), plain or gzip.
+
+    Which of the two it is shows in the second line: the map's name alone, or a query.
+
+    Raises:
+        FileAccessError: the file is not there or cannot be read.
+        FormatError: a line is wrong (it is named), or the file has no query.
+    """
+    path = Path(path)
+    lines = read_bytes(path).split(b"\n")
+    head = lines[0].split()
+    if head[:1] != [b"version"] or len(head) != 2:
+        raise FormatError(f"{path}, line 1: a scenario begins with 'version 1', not with {shown(lines[0])}")
+    if head[1] not in (b"1", b"1.0"):
+        raise FormatError(f"{path}, line 1: only scenarios of version 1 are read, not of {shown(head[1])}")
+    second = lines[1].strip() if len(lines) > 1 else b""
+    solid = any(suffix.lower() == ".3dscen" for suffix in path.suffixes[-2:]) or (
+        bool(second) and len(second.split()) == 1
+    )
+    dim = 3 if solid else 2
+    if solid and (not second or len(second.split()) > 1):
+        raise FormatError(f"{path}, line 2: the name of the map belongs here, not {shown(second)}")
+    name = second if solid else b""
+    size: tuple[int, int] | None = None
+    cells, lengths, texts, numbers, buckets = [], [], [], [], []
+    for number, line in enumerate(lines[1 + solid :], start=2 + solid):
+        line = line.strip()
+        if not line:
+            continue
+        where = f"{path}, line {number}"
+        # Names of maps may hold spaces where the fields are parted by tabs.
+        words = [word.strip() for word in line.split(b"\t")] if b"\t" in line else line.split()
+        if len(words) != (8 if solid else 9):
+            fields = "sx sy sz gx gy gz length ratio" if solid else "bucket map width height sx sy gx gy length"
+            raise FormatError(f"{where}: {len(words)} fields, and a query has '{fields}'")
+        bucket = -1
+        if not solid:
+            first = _integer(where, "the bucket", words[0])
+            sides = _integer(where, "the width", words[2]), _integer(where, "the height", words[3])
+            if size is None:
+                name, size = words[1], sides
+            if sides != size:
+                raise FormatError(
+                    f"{where}: a map of {sides[0]} x {sides[1]} cells, "
+                    f"and one of {size[0]} x {size[1]} in the lines before"
+                )
+            if words[1] != name:
+                raise FormatError(f"{where}: the map is {shown(words[1])}, and {shown(name)} in the lines before")
+            bucket, words = first, words[4:]
+        elif _length(words[7]) is None:
+            raise FormatError(f"{where}: the ratio must be a number of 0 or more, not {shown(words[7])}")
+        ends = [_integer(where, "a coordinate", word) for word in words[: 2 * dim]]
+        if size is not None:
+            for value, side in zip(ends, size * 2, strict=True):
+                if value >= side:
+                    raise FormatError(
+                        f"{where}: the query {' '.join(map(str, ends))} leaves its map of {size[0]} x {size[1]} cells"
+                    )
+        length = _length(words[2 * dim])
+        if length is None:
+            raise FormatError(f"{where}: the length must be a number of 0 or more, not {shown(words[2 * dim])}")
+        cells.append(ends)
+        lengths.append(length)
+        texts.append(words[2 * dim].decode("ascii"))
+        numbers.append(number)
+        buckets.append(bucket)
+    if not cells:
+        raise FormatError(f"{path}: no query in the file")
+    table = np.array(cells, np.int64)
+    arrays = (
+        np.ascontiguousarray(table[:, :dim]),
+        np.ascontiguousarray(table[:, dim:]),
+        np.array(lengths),
+        np.array(numbers, np.int64),
+        np.array(buckets, np.int64),
+    )
+    for array in arrays:
+        array.setflags(write=False)
+    starts, goals, published, at, groups = arrays
+    return Scenario(
+        starts, goals, published, tuple(texts), at, groups, size, name.decode("utf-8", "replace"), str(path)
+    )
+
+
+def _integer(where: str, what: str, word: bytes) -> int:
+    value = whole(word)
+    if value is None:
+        raise FormatError(f"{where}: {what} must be an integer of 0 or more, not {shown(word)}")
+    return value
+
+
+def _length(word: bytes) -> float | None:
+    if not _NUMBER.fullmatch(word):
+        return None
+    value = float(word)
+    return value if math.isfinite(value) else None

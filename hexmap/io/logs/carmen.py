@@ -1,0 +1,342 @@
+"""CARMEN logs: one message a line, as text, plain or gzip.
+
+The lines that are read, in metres and radians::
+
+    FLASER n r1..rn x y theta odom_x odom_y odom_theta [ipc_time host logger_time]
+    RLASER (the same, the rear laser)
+    ROBOTLASER1 type start_angle field_of_view angular_resolution maximum_range accuracy
+        remission_mode n r1..rn m s1..sm laser_x laser_y laser_theta robot_x robot_y robot_theta
+        tv rv forward_safety side_safety turn_axis [ipc_time host logger_time]
+    ROBOTLASER2 (the same, the rear laser)
+    ODOM x y theta tv rv accel [ipc_time host logger_time]
+
+All other lines and comments are passed over. Only one kind of laser line is used, because logs
+often hold the same scan as ROBOTLASER1 and as FLASER: of a front laser ROBOTLASER1 before
+FLASER. Which kinds a log has is judged by its first laser line and the 1,000 lines after it.
+
+The order of the lines is the order of events. Stamps repeat, step back and may be too coarse to
+tell anything; they are handed on and never used here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hexmap.base.errors import FileAccessError, LogError
+from hexmap.io.logs.log import Log, LogSettings, file_size, plural, reason, shown
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Event, Odometry, Scan
+
+__all__ = ["CarmenLog"]
+
+_PREFERENCE: dict[str | None, tuple[bytes, ...]] = {
+    None: (b"ROBOTLASER1", b"FLASER", b"ROBOTLASER2", b"RLASER"),
+    "front": (b"ROBOTLASER1", b"FLASER"),
+    "rear": (b"ROBOTLASER2", b"RLASER"),
+}
+_LASERS = frozenset((b"FLASER", b"RLASER", b"ROBOTLASER1", b"ROBOTLASER2"))
+_LOOK_AHEAD = 1000
+_CHUNK = 1 << 16
+# Far above any laser's line; a file without line ends must not fill the memory.
+_LONGEST_LINE = 1 << 23
+
+
+class _BadLine(Exception):
+    """A line that is skipped; its text is the reason."""
+
+
+class CarmenLog(Log):
+    """A CARMEN log; see :class:`hexmap.io.logs.Log`."""
+
+    format = "carmen"
+
+    def __init__(self, path: Path, settings: LogSettings, compressed: bool) -> None:
+        """Look ahead for the kind of laser and, with ROBOTLASER lines, how it is mounted.
+
+        Raises:
+            FileAccessError: the file cannot be read.
+        """
+        try:
+            size = file_size(path)
+        except OSError as error:
+            raise FileAccessError(f"{path}: cannot be read: {reason(error)}") from error
+        super().__init__(path, settings, size)
+        self._compressed = compressed
+        self._lines_read = 0
+        self._whole_last_line = True
+        self._trouble = ""
+        self._laser = self._look_ahead()
+        if self._laser == b"RLASER" and self.mount is None:
+            self._notes.append("the log does not say how the rear laser (RLASER) is mounted; set the mount")
+        self._reset()
+
+    def _look_ahead(self) -> bytes | None:
+        """Return the kind of laser line to read, or None where the log has none of those wanted."""
+        setting = self.settings.laser
+        wanted = _PREFERENCE.get(setting) or (str(setting).encode(),)
+        best: int | None = None
+        left = _LOOK_AHEAD
+        for _, line in self._lines():
+            tag = _tag(line)
+            if tag in wanted:
+                rank = wanted.index(tag)
+                if best is None or rank < best:
+                    best, self.mount = rank, None
+                if rank == best and self.mount is None and tag.startswith(b"ROBOT"):
+                    self.mount = _mount(line.split())
+            if best is not None:
+                left -= 1
+                if left < 0 or (best == 0 and not wanted[0].startswith(b"ROBOT")) or self.mount is not None:
+                    break
+        return None if best is None else wanted[best]
+
+    def _lines(self) -> Iterator[tuple[int, bytes]]:
+        """Yield (number, line without its end), as far as the file can be read."""
+        self.position = 0
+        self._lines_read = 0
+        self._whole_last_line = True
+        self._trouble = ""
+        rest = b""
+        number = 0
+        try:
+            for text in self._inflated() if self._compressed else self._chunks():
+                lines = (rest + text).split(b"\n")
+                rest = lines.pop()
+                for line in lines:
+                    number += 1
+                    self._lines_read = number
+                    yield number, line
+                if len(rest) > _LONGEST_LINE:
+                    raise LogError(f"{self.path}, line {number + 1}: longer than {_LONGEST_LINE} bytes")
+        except OSError as error:
+            raise FileAccessError(f"{self.path}: cannot be read after line {number}: {reason(error)}") from error
+        if self._trouble:
+            self._late_notes.append(f"the gzip file is {self._trouble}; read up to line {number}, its last whole one")
+        elif rest.strip():
+            self._whole_last_line = False
+            self._lines_read = number + 1
+            yield number + 1, rest
+
+    def _chunks(self) -> Iterator[bytes]:
+        """Yield the bytes of the file."""
+        with open(self.path, "rb") as handle:
+            while chunk := handle.read(_CHUNK):
+                self.position += len(chunk)
+                yield chunk
+
+    def _inflated(self) -> Iterator[bytes]:
+        """Yield the text inside the gzip file, as far as it is sound; ``_trouble`` says if not to its end.
+
+        Inflated here rather than by the gzip module, which gives up on a cut-off file before
+        handing out all that it holds.
+        """
+        inflate = zlib.decompressobj(wbits=31)
+        for chunk in self._chunks():
+            while chunk:
+                sound = inflate.copy()
+                try:
+                    # Bounded, because very regular text shrinks a thousandfold.
+                    text = inflate.decompress(chunk, _CHUNK * 4)
+                except zlib.error as error:
+                    self._trouble = f"damaged ({reason(error)})"
+                    yield _up_to_damage(sound, chunk)
+                    return
+                yield text
+                chunk = inflate.unconsumed_tail
+                if inflate.eof:
+                    # A gzip file may be several ones in a row, padded with zeros.
+                    chunk = inflate.unused_data.lstrip(b"\0")
+                    if chunk:
+                        inflate = zlib.decompressobj(wbits=31)
+        if not inflate.eof:
+            self._trouble = "cut off"
+
+    def _events(self) -> Iterator[Event]:
+        wanted = self._laser
+        others = _LASERS if self.settings.laser is None else frozenset[bytes]()
+        # A log with ROBOTLASER1 and FLASER holds the same scans twice: leaving one out is no news.
+        if wanted in (b"ROBOTLASER1", b"FLASER"):
+            others = frozenset((b"RLASER", b"ROBOTLASER2")) & others
+        stamp = 0.0
+        unstamped = 0
+        for number, line in self._lines():
+            tag = _tag(line)
+            event: Event
+            try:
+                if tag == b"ODOM":
+                    tokens = line.split()
+                    # A last line without its end may have lost part of its last number.
+                    if len(tokens) < 4 or (not self._whole_last_line and len(tokens) < 10):
+                        raise _BadLine(f"{len(tokens) - 1} fields of an ODOM line, which has 9")
+                    values = _floats(tokens[1:4], "odometry")
+                    time = _stamp(tokens, 7)
+                    unstamped += time is None
+                    stamp = stamp if time is None else time
+                    event = Odometry(stamp, Pose.planar(*values), number)
+                    self.odometry += 1
+                elif tag == wanted:
+                    time, event = self._scan(line.split(), number, stamp)
+                    unstamped += time is None
+                    stamp = event.stamp
+                    self.scans += 1
+                else:
+                    if tag in others:
+                        self._other_laser.add(f"line {number} ({tag.decode()})")
+                    continue
+            except _BadLine as bad:
+                self._skipped.add(f"line {number}: {bad}")
+                continue
+            yield event
+        if unstamped:
+            self._late_notes.append(f"{plural(unstamped, 'line')} without a time stamp took the one before")
+
+    def _scan(self, tokens: list[bytes], number: int, last_stamp: float) -> tuple[float | None, Scan]:
+        """Read a laser line; returns its own stamp (or None) and the scan."""
+        angle_min = angle_step = None
+        limit = self.settings.no_return
+        if tokens[0].startswith(b"ROBOT"):
+            fields, ranges, tail = _robotlaser(tokens)
+            odometry = tail[3:6]
+            angle_min, angle_step = fields[1], fields[3]
+            if not angle_step > 0.0:
+                angle_step = fields[2] / max(len(ranges) - 1, 1)
+            if fields[4] > 0.0:
+                limit = min(limit, fields[4])
+            time = _stamp(tokens, len(tokens) - 3) if len(tail) > 11 else None
+        else:
+            beams = _count(tokens, 1)
+            tail_length = len(tokens) - 2 - beams
+            # Six fields are a whole line without a stamp, unless a host's name says that beams are missing.
+            short = tail_length == 6 and (not self._whole_last_line or _not_a_number(tokens[-2:-1]))
+            if short or tail_length not in (6, 9):
+                raise _BadLine(_wrong_number(tokens, beams, tail_length))
+            ranges = _numbers(tokens[2 : 2 + beams])
+            # After x y theta of the laser, which in many logs is a corrected pose, comes the odometry.
+            odometry = _floats(tokens[5 + beams : 8 + beams], "odometry")
+            _floats(tokens[2 + beams : 5 + beams], "laser pose")
+            time = _stamp(tokens, 8 + beams)
+        if not len(ranges):
+            raise _BadLine("0 beams")
+        directions = self._beams.directions(len(ranges), angle_min, angle_step)
+        points, rays, dropped = self._beams.split(np.array(ranges), directions, limit)
+        if dropped:
+            self._dropped.add(f"line {number}", dropped)
+        stamp = last_stamp if time is None else time
+        return time, Scan(stamp, points, rays, Pose.planar(*odometry), number)
+
+    def _no_laser(self) -> str:
+        names = ", ".join(tag.decode() for tag in _PREFERENCE.get(self.settings.laser, ()))
+        names = names or str(self.settings.laser)
+        return f"{self.path}: no laser reading ({names}) in {plural(self._lines_read, 'line')}"
+
+
+def _up_to_damage(inflate: Any, chunk: bytes) -> bytes:
+    """Inflate in small steps what lies before a damaged place; zlib gives nothing of a failing step."""
+    text = b""
+    with contextlib.suppress(zlib.error):
+        for start in range(0, len(chunk), 32):
+            text += inflate.decompress(chunk[start : start + 32])
+    return text
+
+
+def _tag(line: bytes) -> bytes:
+    """Return the first word of a line, if it is short enough to be one of ours."""
+    words = line[:12].split(None, 1)
+    return words[0] if words else b""
+
+
+def _numbers(tokens: list[bytes]) -> list[float]:
+    try:
+        return list(map(float, tokens))
+    except ValueError:
+        raise _BadLine(f"'{shown(_not_a_number(tokens))}' is not a number") from None
+
+
+def _not_a_number(tokens: list[bytes]) -> bytes:
+    for token in tokens:
+        try:
+            float(token)
+        except ValueError:
+            return token
+    return b""
+
+
+def _floats(tokens: list[bytes], what: str) -> list[float]:
+    values = _numbers(tokens)
+    for token, value in zip(tokens, values, strict=True):
+        if not math.isfinite(value):
+            raise _BadLine(f"the {what} is '{shown(token)}'")
+    return values
+
+
+def _stamp(tokens: list[bytes], index: int) -> float | None:
+    return _floats(tokens[index : index + 1], "time stamp")[0] if index < len(tokens) else None
+
+
+def _count(tokens: list[bytes], index: int) -> int:
+    try:
+        count = int(tokens[index])
+    except (ValueError, IndexError):
+        text = shown(tokens[index]) if index < len(tokens) else ""
+        raise _BadLine(f"the number of beams is '{text}'") from None
+    if count < 0:
+        raise _BadLine(f"the number of beams is '{count}'")
+    return count
+
+
+def _wrong_number(tokens: list[bytes], beams: int, tail: int) -> str:
+    """Say how many beams a line has instead; a host's name near its end tells a whole line."""
+    whole = len(tokens) > 4 and _not_a_number(tokens[-2:-1]) != b""
+    if not whole and 0 <= tail < 9:
+        return f"the line is cut off, {tail} of 9 fields after the {beams} beams"
+    found = max(beams + tail - 9, 0) if whole else max(beams + min(tail, 0), 0) if tail < 0 else beams + tail - 6
+    return f"{beams} beams announced, {found} found"
+
+
+def _robotlaser(tokens: list[bytes]) -> tuple[list[float], list[float], list[float]]:
+    """Return the seven fields before the beams, the ranges, and the numbers after the remissions."""
+    beams = _count(tokens, 8)
+    if len(tokens) < 10 + beams:
+        raise _BadLine(f"{beams} beams announced, {max(len(tokens) - 9, 0)} found")
+    fields = _floats(tokens[1:8], "laser's description")
+    ranges = _numbers(tokens[9 : 9 + beams])
+    after = tokens[9 + beams :]
+    remissions = _count_remissions(after[0], beams)
+    tail = after[1 + remissions :]
+    if len(tail) not in (11, 14):
+        raise _BadLine(
+            f"{beams} beams announced and {remissions} remissions, then {len(tail)} fields follow instead of 14"
+        )
+    numbers = _floats(tail[:11], "pose")
+    if len(tail) == 14:
+        numbers.append(math.nan)  # marks that a stamp follows
+    return fields, ranges, numbers
+
+
+def _count_remissions(token: bytes, beams: int) -> int:
+    try:
+        count = int(token)
+    except ValueError:
+        # Where a beam is missing or one too many, this is a range or a pose.
+        raise _BadLine(f"{beams} beams announced, then '{shown(token)}' instead of a number of remissions") from None
+    if count < 0:
+        raise _BadLine(f"the number of remissions is '{count}'")
+    return count
+
+
+def _mount(tokens: list[bytes]) -> Pose | None:
+    """Return T_robot_laser of a ROBOTLASER line, or None where both poses are the same or unreadable."""
+    try:
+        _, _, tail = _robotlaser(tokens)
+    except _BadLine:
+        return None
+    mount = Pose.planar(*tail[3:6]).inverse() @ Pose.planar(*tail[0:3])
+    # The poses are printed with six digits, so a mount of less than that is none.
+    return None if mount.is_close(Pose.identity(2), 1e-5, 1e-5) else mount

@@ -1,0 +1,262 @@
+"""What all logs share: the settings, the tallies behind the warnings, and the beams' geometry."""
+
+from __future__ import annotations
+
+import math
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.errors import ArgumentError, LogError
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Event
+
+LASERS = ("front", "rear", "FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2")
+
+# Lasers whose number of beams tells their field of view: (first beam, step), radians.
+# 180 and 360 beams stop one step short of +90 degrees; 181, 361 and 721 include it.
+_HALF_TURN = (180, 181, 360, 361, 720, 721)
+_THREE_QUARTERS = (541, 1081)
+
+
+@dataclass(frozen=True)
+class LogSettings:
+    """How to read a log; every field has a default that suits most logs, and is plain JSON.
+
+    Attributes:
+        angle_min: direction of the first beam in the laser's frame, radians, counter-clockwise
+            from x. None: what the log says, else by the number of beams (see ``beam_fan``).
+        angle_step: from one beam to the next, radians; negative for a laser that turns clockwise.
+            None: as for ``angle_min``.
+        no_return: metres; a range at or above it is a beam that returned nothing. A smaller
+            maximum range in the log itself (ROBOTLASER1, LaserScan) is used instead.
+        laser: which laser of a CARMEN log: "front" (ROBOTLASER1, else FLASER), "rear"
+            (ROBOTLASER2, else RLASER), or one of the four by name. None: front, or rear where
+            the log has no front laser.
+        scan_topic: topic of the sensor_msgs/LaserScan in a bag. None: the only one, or of
+            several the only one whose last name is ``scan``.
+        odometry_topic: topic of the nav_msgs/Odometry in a bag. None: the only one, or of
+            several the only one whose last name is ``odom``; without any, tf.
+    """
+
+    angle_min: float | None = None
+    angle_step: float | None = None
+    no_return: float = 80.0
+    laser: str | None = None
+    scan_topic: str | None = None
+    odometry_topic: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ArgumentError: an angle that is not finite, a step of zero, a no-return range that is
+                not positive, or an unknown laser.
+        """
+        if self.angle_min is not None and not math.isfinite(self.angle_min):
+            raise ArgumentError(f"angle_min must be finite, not {self.angle_min}")
+        if self.angle_step is not None and (not math.isfinite(self.angle_step) or self.angle_step == 0.0):
+            raise ArgumentError(f"angle_step must be finite and not zero, not {self.angle_step}")
+        if not self.no_return > 0.0:
+            raise ArgumentError(f"no_return must be a positive range in metres, not {self.no_return}")
+        if self.laser is not None and self.laser not in LASERS:
+            raise ArgumentError(f"laser must be one of {', '.join(LASERS)}, not {self.laser!r}")
+
+
+def beam_fan(beams: int) -> tuple[float, float, bool]:
+    """Return first angle and step (radians) of a laser by its number of beams, and whether that is known.
+
+    541 and 1081 beams span 270 degrees, centred. All others span 180 degrees from -90: an even
+    number excludes the last direction (180 beams: step 1 degree), an odd one includes it (181
+    beams: step 1 degree). Known numbers are 180, 181, 360, 361, 720, 721, 541 and 1081; for
+    others the same rule is a guess.
+    """
+    if beams in _THREE_QUARTERS:
+        return -0.75 * math.pi, 1.5 * math.pi / (beams - 1), True
+    steps = beams if beams % 2 == 0 else max(beams - 1, 1)
+    return -0.5 * math.pi, math.pi / steps, beams in _HALF_TURN
+
+
+@dataclass
+class Tally:
+    """Counts one kind of trouble and remembers where it was first met."""
+
+    count: int = 0
+    first: str = ""
+
+    def add(self, where: str, count: int = 1) -> None:
+        """Count; ``where`` says line and reason of the first."""
+        if self.count == 0:
+            self.first = where
+        self.count += count
+
+
+def plural(count: int, noun: str) -> str:
+    """Return "1 line", "3 lines"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+class Beams:
+    """Turns ranges into points and rays; keeps the directions of the last geometry seen."""
+
+    def __init__(self, settings: LogSettings) -> None:
+        self.settings = settings
+        self.guessed: int | None = None
+        self._key: tuple[int, float | None, float | None, bool] | None = None
+        self._directions: FloatArray = np.empty((0, 2))
+
+    def directions(
+        self, beams: int, angle_min: float | None, angle_step: float | None, mirrored: bool = False
+    ) -> FloatArray:
+        """Return unit directions (beams, 2); the settings come first, then the log, then the rule."""
+        key = (beams, angle_min, angle_step, mirrored)
+        if key != self._key:
+            first = self.settings.angle_min if self.settings.angle_min is not None else angle_min
+            step = self.settings.angle_step if self.settings.angle_step is not None else angle_step
+            if first is None or step is None:
+                fan_first, fan_step, known = beam_fan(beams)
+                first = fan_first if first is None else first
+                step = fan_step if step is None else step
+                if not known:
+                    self.guessed = beams
+            angles = first + step * np.arange(beams)
+            sign = -1.0 if mirrored else 1.0
+            self._directions = np.stack([np.cos(angles), sign * np.sin(angles)], axis=1)
+            self._key = key
+        return self._directions
+
+    def split(
+        self, ranges: FloatArray, directions: FloatArray, limit: float, minimum: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, int]:
+        """Return end points, rays without return, and how many beams were dropped.
+
+        Dropped are ranges that are NaN, zero, negative or below ``minimum``; a range at or above
+        ``limit`` (infinity included) is a ray without return. All in metres.
+        """
+        far = ranges >= limit
+        # NaN compares false with everything, so it is in neither of the two.
+        hit = (ranges > 0.0) & (ranges >= minimum) & ~far
+        returned, rays = int(np.count_nonzero(hit)), int(np.count_nonzero(far))
+        return ranges[hit, None] * directions[hit], directions[far], len(ranges) - returned - rays
+
+
+class Log(ABC):
+    """A log as a stream of scans and odometry readings, in the order of the file.
+
+    Iterating reads the file from its start, as often as one likes, and holds no more of it than
+    a few events. The counts, the warnings and the progress are those of the latest iteration.
+
+    Attributes:
+        path: the file or folder.
+        settings: how it is read.
+        format: "carmen", "rosbag1", "rosbag2" (sqlite3) or "mcap".
+        size: bytes of the file, compressed as it is.
+        position: bytes read so far, about.
+        scans: scans yielded so far.
+        odometry: odometry readings yielded so far.
+        skipped: lines or messages that could not be used so far.
+        mount: T_robot_laser where the log itself says how the laser sits on the robot, else None.
+    """
+
+    format: str = ""
+    _unit = "line"
+
+    def __init__(self, path: Path, settings: LogSettings, size: int) -> None:
+        self.path = path
+        self.settings = settings
+        self.size = size
+        self.mount: Pose | None = None
+        self._notes: list[str] = []
+        self._reset()
+
+    def _reset(self) -> None:
+        self.position = 0
+        self.scans = 0
+        self.odometry = 0
+        self._skipped = Tally()
+        self._dropped = Tally()
+        self._other_laser = Tally()
+        self._late_notes: list[str] = []
+        self._beams = Beams(self.settings)
+
+    @property
+    def skipped(self) -> int:
+        """Lines or messages that could not be used so far."""
+        return self._skipped.count
+
+    def fraction(self) -> float:
+        """Return how much of the log has been read, from 0 to 1."""
+        return min(self.position / self.size, 1.0) if self.size > 0 else 1.0
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was not as it should be, one line each, each naming the file."""
+        texts = list(self._notes)
+        if self._skipped.count:
+            texts.append(f"{plural(self._skipped.count, self._unit)} skipped, the first at {self._skipped.first}")
+        if self._dropped.count:
+            texts.append(
+                f"{plural(self._dropped.count, 'beam')} dropped (NaN, negative, zero or below the minimum range), "
+                f"the first at {self._dropped.first}"
+            )
+        if self._beams.guessed is not None:
+            texts.append(
+                f"{self._beams.guessed} beams: that they span 180 degrees from -90 is a guess; "
+                "set angle_min and angle_step"
+            )
+        if self._other_laser.count:
+            texts.append(
+                f"{plural(self._other_laser.count, 'scan')} of another laser left out, "
+                f"the first at {self._other_laser.first}; choose with the setting laser"
+            )
+        texts.extend(self._late_notes)
+        return [f"{self.path.name}: {text}" for text in texts]
+
+    def __iter__(self) -> Iterator[Event]:
+        """Read the log from its start.
+
+        Raises:
+            LogError: no laser reading in the whole log (raised at its end).
+            FileAccessError: the file cannot be read any more.
+        """
+        self._reset()
+        yield from self._events()
+        if self.scans == 0:
+            notes = self.warnings
+            raise LogError(self._no_laser() + (f" ({notes[0].partition(': ')[2]})" if notes else ""))
+        self.position = self.size
+
+    @abstractmethod
+    def _events(self) -> Iterator[Event]:
+        """Yield the events; counts scans, odometry and troubles on the way."""
+
+    @abstractmethod
+    def _no_laser(self) -> str:
+        """Say that there was no laser reading."""
+
+
+def shown(token: bytes | str, length: int = 24) -> str:
+    """Return a token of a log fit to be quoted in a message."""
+    text = token.decode("utf-8", "replace") if isinstance(token, bytes) else token
+    text = text if len(text) <= length else text[:length] + "..."
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
+def reason(error: BaseException) -> str:
+    """Return the first line of an error's text, or its kind where it has none."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    lines = str(error).strip().splitlines()
+    return lines[0].rstrip(".") if lines else type(error).__name__
+
+
+def file_size(path: Path) -> int:
+    """Return the bytes of a file, or of all files in a folder."""
+    if path.is_dir():
+        return sum(entry.stat().st_size for entry in os.scandir(path) if entry.is_file())
+    return path.stat().st_size

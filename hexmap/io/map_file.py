@@ -1,0 +1,368 @@
+"""Map files: Parquet tables that any Parquet reader can use, with the lattice as numbers beside them.
+
+One row is one cell that was hit or passed: ``level, a, b(, c), hits, passes``, sorted by level,
+then index, each cell once. What the rows mean lies in the file's metadata under ``hexmap``, as JSON.
+Rows may be cut, or concatenated and summed by cell, with any tool; as long as they stay sorted and
+the metadata goes with them the result is a map file again.
+
+The same map always gives the same bytes (there is no time of writing in the file), so two maps can
+be compared by their checksums. Pages carry checksums, which reading verifies.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import zlib
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import FileAccessError, FormatError, HexmapError
+from hexmap.lattice.keys import pack, unpack
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.map import Level, Map
+from hexmap.maps.voxel_list import VoxelList
+
+__all__ = ["FORMAT_VERSION", "load_map", "read_metadata", "save_map"]
+
+FORMAT_VERSION = 1
+_KEY = b"hexmap"
+_MAGIC = b"PAR1"
+_AXES = ("a", "b", "c")
+_MAX_LEVELS = 16
+
+
+def save_map(path: str | os.PathLike[str], map: Map) -> None:
+    """Write a map; an older file of that name stays until the new one is whole.
+
+    Args:
+        path: the Parquet file to make or to replace.
+        map: the map, which may be empty.
+
+    Raises:
+        FileAccessError: the folder is missing or not writable, or the disk is full.
+
+    Examples:
+        >>> import tempfile
+        >>> hexagons = Lattice.named("A2", resolution=0.1)
+        >>> hits = VoxelList.from_points([[0.02, 0.31]], hexagons)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_map(Path(folder) / "one.parquet", Map([Level(hits, VoxelList.empty(hexagons))]))
+        ...     load_map(Path(folder) / "one.parquet").levels[0].hits.rows().tolist()
+        [[0, 3, 1]]
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    axes = _AXES[: map.lattice.dim]
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("level", *axes, "hits", "passes")}
+    for k, level in enumerate(map.levels):
+        keys, hits, passes = level.columns()
+        parts["level"].append(np.full(len(keys), k, np.int32))
+        index = unpack(keys, map.lattice.dim)
+        for i, axis in enumerate(axes):
+            parts[axis].append(index[:, i])
+        parts["hits"].append(hits)
+        parts["passes"].append(passes)
+    fields = [pa.field(name, pa.from_numpy_dtype(columns[0].dtype), nullable=False) for name, columns in parts.items()]
+    header = _describe(map)
+    text = _encode({**header, "crc32": zlib.crc32(_encode(header))})
+    table = pa.table(
+        {name: np.concatenate(columns) for name, columns in parts.items()},
+        schema=pa.schema(fields, metadata={_KEY: text}),
+    )
+    with atomic_write(path) as handle:
+        # Sorted indices differ by small steps, which delta coding stores in a few bits; counts repeat.
+        pq.write_table(
+            table,
+            handle,
+            compression="zstd",
+            use_dictionary=["level", "hits", "passes"],
+            column_encoding=dict.fromkeys(axes, "DELTA_BINARY_PACKED"),
+            write_page_checksum=True,
+        )
+
+
+def load_map(path: str | os.PathLike[str]) -> Map:
+    """Read a map that :func:`save_map` wrote, or that was made of such files row by row.
+
+    Args:
+        path: the Parquet file.
+
+    Returns:
+        The map; rows with neither hits nor passes are left out.
+
+    Raises:
+        FileAccessError: the file cannot be opened.
+        FormatError: not Parquet, cut off, damaged, not a hexmap map, of a newer version, or with rows
+            that are not those of a map; the text names the file and what is wrong.
+    """
+    import pyarrow as pa
+
+    path = Path(path)
+    with _open(path) as handle:
+        file = _parquet(path, handle)
+        header = _header(path, file.schema_arrow.metadata)
+        lattice = _lattice(path, header)
+        schema = file.schema_arrow
+        names = ("level", *_AXES[: lattice.dim], "hits", "passes")
+        for name in names:
+            count = schema.names.count(name)
+            if count != 1:
+                raise FormatError(f"{path}: damaged map: it has {count or 'no'} columns {name!r}, and needs one")
+            if not pa.types.is_integer(schema.field(name).type):
+                raise FormatError(
+                    f"{path}: damaged map: column {name!r} holds {schema.field(name).type}, and should hold integers"
+                )
+        columns = _read(path, file, names)
+    levels = _levels(path, header)
+    return _build(path, header, lattice, levels, columns)
+
+
+def read_metadata(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return what a map file says about itself, without reading its rows.
+
+    Returns:
+        ``format``, ``kind``, ``lattice`` (``name`` and ``basis``), ``levels``, ``resolution`` (metres),
+        ``frame``, ``provenance`` (one entry a log) and ``versions`` of the software that wrote it.
+
+    Raises:
+        FileAccessError: the file cannot be opened.
+        FormatError: not a map file, or one of a newer version.
+    """
+    path = Path(path)
+    with _open(path) as handle:
+        header = _header(path, _parquet(path, handle).schema_arrow.metadata)
+    _lattice(path, header)
+    _levels(path, header)
+    return header
+
+
+# ---------------------------------------------------------------------- metadata
+
+
+def _describe(map: Map) -> dict[str, Any]:
+    """Return the metadata of a map; nothing in it depends on when or where it is written."""
+    return {
+        "format": FORMAT_VERSION,
+        "kind": "map",
+        "lattice": map.lattice.to_dict(),
+        "levels": len(map.levels),
+        "resolution": map.lattice.resolution,
+        "frame": map.frame,
+        "provenance": [_to_entry(text) for text in map.provenance],
+        "versions": _versions(),
+    }
+
+
+def _encode(header: dict[str, Any]) -> bytes:
+    return json.dumps(header, sort_keys=True, allow_nan=False).encode("ascii")
+
+
+def _to_entry(text: str) -> Any:
+    """Return a text of the provenance as an object where it comes back letter by letter, else as it is.
+
+    Objects can be read by others without decoding JSON within JSON. Infinity is not JSON: such a
+    text stays a text.
+    """
+    try:
+        value = json.loads(text)
+        if isinstance(value, dict) and json.dumps(value, sort_keys=True, allow_nan=False) == text:
+            return value
+    except ValueError:
+        pass
+    return text
+
+
+def _versions() -> dict[str, str]:
+    import pyarrow as pa
+
+    from hexmap.base.version import __version__
+
+    return {
+        "hexmap": __version__,
+        "numpy": np.__version__,
+        "pyarrow": pa.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _header(path: Path, metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
+    """Decode the metadata and check everything in it but the lattice and the levels."""
+    text = (metadata or {}).get(_KEY)
+    if text is None:
+        raise FormatError(f"{path}: a Parquet file, but not a hexmap map: it has no metadata 'hexmap'")
+    try:
+        header = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: damaged map: its metadata is not JSON: {_one_line(error)}") from error
+    if not isinstance(header, dict) or "format" not in header:
+        raise FormatError(f"{path}: damaged map: its metadata names no format version")
+    version = header["format"]
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise FormatError(f"{path}: damaged map: its format version is {_shown(version)}")
+    if version > FORMAT_VERSION:
+        raise FormatError(
+            f"{path}: written by a newer hexmap: format version {version}, this one reads up to {FORMAT_VERSION}"
+        )
+    # Parquet guards its pages with checksums and not its metadata, where the basis is. Who edits the
+    # metadata leaves the checksum out.
+    stated = header.pop("crc32", None)
+    if stated is not None and stated != zlib.crc32(_recode(path, header)):
+        raise FormatError(f"{path}: damaged map: its metadata does not fit its checksum 'crc32'")
+    if header.get("kind") != "map":
+        raise FormatError(f"{path}: not a map: its metadata says {_shown(header.get('kind'))}")
+    if not isinstance(header.get("frame"), str):
+        raise FormatError(f"{path}: damaged map: its frame is {_shown(header.get('frame'))}, not a name")
+    provenance = header.get("provenance")
+    if not isinstance(provenance, list) or not all(isinstance(entry, (str, dict)) for entry in provenance):
+        raise FormatError(f"{path}: damaged map: its provenance is not a list of texts or objects")
+    return header
+
+
+def _recode(path: Path, header: dict[str, Any]) -> bytes:
+    try:
+        return _encode(header)
+    except ValueError as error:
+        raise FormatError(f"{path}: damaged map: its metadata holds a number that is not finite") from error
+
+
+def _lattice(path: Path, header: dict[str, Any]) -> Lattice:
+    """Return the lattice of the finest level."""
+    try:
+        lattice = Lattice.from_dict(header.get("lattice", {}))
+    except HexmapError as error:
+        raise FormatError(f"{path}: damaged map: {error}") from error
+    stated = header.get("resolution")
+    if not isinstance(stated, (int, float)) or not math.isclose(stated, lattice.resolution, rel_tol=1e-6):
+        raise FormatError(
+            f"{path}: damaged map: it states a resolution of {_shown(stated)}, "
+            f"its lattice's basis gives {lattice.resolution:g} m"
+        )
+    return lattice
+
+
+def _levels(path: Path, header: dict[str, Any]) -> int:
+    levels = header.get("levels")
+    if not isinstance(levels, int) or isinstance(levels, bool) or not 1 <= levels <= _MAX_LEVELS:
+        raise FormatError(f"{path}: damaged map: it has {_shown(levels)} levels, not 1 to {_MAX_LEVELS}")
+    return levels
+
+
+# ---------------------------------------------------------------------- rows
+
+
+def _open(path: Path) -> IO[bytes]:
+    try:
+        return open(path, "rb")
+    except OSError as error:
+        raise FileAccessError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _parquet(path: Path, handle: IO[bytes]) -> Any:
+    """Return the opened pyarrow ParquetFile."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        head = handle.read(4)
+        size = handle.seek(0, os.SEEK_END)
+        handle.seek(max(0, size - 4))
+        tail = handle.read(4)
+        handle.seek(0)
+    except OSError as error:
+        raise FileAccessError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if size == 0:
+        raise FormatError(f"{path}: not a map: the file is empty")
+    if head != _MAGIC:
+        raise FormatError(f"{path}: not a map: not a Parquet file (it begins with {_shown(head)})")
+    if tail != _MAGIC:
+        raise FormatError(f"{path}: damaged map: the file is cut off at {size} bytes")
+    try:
+        file = pq.ParquetFile(handle, page_checksum_verification=True)
+        groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+        counts = {group.num_rows == group.column(j).num_values for group in groups for j in range(group.num_columns)}
+        total = sum(group.num_rows for group in groups)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise FormatError(f"{path}: damaged map: {_one_line(error)}") from error
+    # pyarrow reads as many rows as it is told, and has no checksum for where it is told so.
+    if total != file.metadata.num_rows or not counts <= {True}:
+        raise FormatError(f"{path}: damaged map: its numbers of rows do not agree")
+    return file
+
+
+def _read(path: Path, file: Any, names: tuple[str, ...]) -> list[NDArray[np.int64]]:
+    """Return the columns ``names``, each (M,) int64."""
+    import pyarrow as pa
+
+    try:
+        table = file.read(columns=list(names), use_threads=False)
+        for name in names:
+            if table.column(name).null_count:
+                raise FormatError(f"{path}: damaged map: column {name!r} has empty values")
+        return [np.asarray(table.column(name).cast(pa.int64()).to_numpy(), dtype=np.int64) for name in names]
+    except FormatError:
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise FormatError(f"{path}: damaged map: {_one_line(error)}") from error
+
+
+def _build(path: Path, header: dict[str, Any], lattice: Lattice, count: int, columns: list[NDArray[np.int64]]) -> Map:
+    """Check the rows and make the map of them."""
+    level, *axes, hits, passes = columns
+
+    def refuse(bad: NDArray[np.bool_], what: str) -> None:
+        if bad.any():
+            row = int(np.argmax(bad))
+            place = "level {}, index ({})".format(level[row], ", ".join(str(axis[row]) for axis in axes))
+            raise FormatError(f"{path}: damaged map: row {row} ({place}) {what}")
+
+    refuse((level < 0) | (level >= count), f"is on a level that is not among 0 to {count - 1}")
+    for axis in axes:
+        refuse((axis >= lattice.limit) | (axis <= -lattice.limit), f"has an index out of range, {lattice.limit}")
+    for name, counts in (("hits", hits), ("passes", passes)):
+        refuse(counts < 0, f"has a negative number of {name}")
+    keys = pack(np.stack(axes, axis=1).astype(np.int32))
+    step = np.diff(level)
+    same = step == 0
+    refuse(_after_first(same & (keys[1:] == keys[:-1])), "repeats the cell of the row before")
+    refuse(_after_first((step < 0) | (same & (keys[1:] < keys[:-1]))), "is not sorted by level and index")
+    ends = np.searchsorted(level, np.arange(count + 1))
+    parts = []
+    for k in range(count):
+        rows = slice(ends[k], ends[k + 1])
+        at = lattice.scaled(2.0**k)
+        lists = []
+        for counts in (hits[rows], passes[rows]):
+            some = counts > 0
+            lists.append(VoxelList(at, keys[rows][some], counts[some]))
+        parts.append(Level(*lists))
+    texts = [e if isinstance(e, str) else json.dumps(e, sort_keys=True) for e in header["provenance"]]
+    return Map(parts, header["frame"], texts)
+
+
+def _after_first(bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Turn a mask of pairs of rows into one of rows, the later one of each pair."""
+    return np.concatenate([np.zeros(1, np.bool_), bad])
+
+
+# ---------------------------------------------------------------------- messages
+
+
+def _one_line(error: BaseException) -> str:
+    """Return the first line of an error's text, without what a terminal should not see."""
+    lines = str(error).strip().splitlines()
+    line = lines[0][:160] if lines else type(error).__name__
+    return line if line.isprintable() else ascii(line)[1:-1]
+
+
+def _shown(value: Any) -> str:
+    """Return a value as it stands in a message: short and printable."""
+    text = ascii(value)
+    return text if len(text) <= 40 else text[:37] + "..."

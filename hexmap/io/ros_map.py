@@ -1,0 +1,103 @@
+"""Write a map in the plane for ROS map_server: a YAML file and a PGM image."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.atomic_files import PathLike, atomic_write
+from hexmap.base.errors import ArgumentError
+from hexmap.maps.map import Map
+from hexmap.maps.outlines import ClassTable, pixel_rows
+from hexmap.maps.state_rule import StateRule, States
+
+
+def export_ros(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
+    """Write a level of a map in the plane for ROS map_server: a YAML file and a PGM image beside it.
+
+    Pixels are as wide as the lattice's resolution, so they have the area of a cell. A pixel is
+    occupied where the centre of an occupied cell lies in it, and nowhere else; free where the centre of a
+    free cell lies in it or its own centre lies in a free cell; unknown otherwise. A point (x, y) lies in
+    column ``floor((x - origin_x) / resolution)`` and in the row, counted from the *bottom*,
+    ``floor((y - origin_y) / resolution)``, with the numbers of the YAML file.
+
+    Args:
+        map: a map in the plane.
+        path: the YAML file; the image has its name and the suffix ``.pgm``.
+        level: which level, 0 is the finest.
+        rule: what makes a cell occupied or free.
+
+    Returns:
+        The YAML file and the image.
+
+    Raises:
+        ArgumentError: the map is in space, there is no such level, or the image would have more than
+            10^9 pixels.
+        FileAccessError: a file cannot be written.
+    """
+    path = Path(path)
+    if map.lattice.dim != 2:
+        raise ArgumentError(f"{path}: a ROS map is flat and this map is in space; export it to .ply or .csv")
+    states = map.state(rule, level)
+    image_path = path.with_suffix(".pgm")
+    resolution, origin, image = _ros_image(path, states)
+    name = image_path.name
+    lines = [
+        f"image: {name if re.fullmatch(r'[A-Za-z_][A-Za-z0-9_.-]*', name) else json.dumps(name, ensure_ascii=False)}",
+        f"resolution: {resolution!r}",
+        f"origin: [{origin[0]!r}, {origin[1]!r}, 0.0]",
+        "negate: 0",
+        "occupied_thresh: 0.65",
+        "free_thresh: 0.196",
+        "mode: trinary",
+    ]
+    # The YAML file comes last: where it is, its image is too.
+    with atomic_write(image_path) as handle:
+        handle.write(b"P5\n%d %d\n255\n" % (image.shape[1], image.shape[0]))
+        handle.write(np.ascontiguousarray(image[::-1]).data)
+    with atomic_write(path, "w") as handle:
+        handle.write("\n".join(lines) + "\n")
+    return [path, image_path]
+
+
+def _ros_image(path: Path, states: States) -> tuple[float, tuple[float, float], NDArray[np.uint8]]:
+    """Return the pixel's side, the origin and the image (H, W), the bottom row first."""
+    lattice = states.occupied.lattice
+    # Twelve digits are what the file says, so they are also what the pixels are computed with.
+    side = float(f"{lattice.resolution:.12g}")
+    occupied, free = states.occupied.centres(), states.free.centres()
+    centres = np.concatenate([occupied, free])
+    if len(centres) == 0:
+        return side, (-0.5 * side, -0.5 * side), np.full((1, 1), _UNKNOWN_PIXEL, np.uint8)
+    # Half a pixel of room puts the centres of squares in the middle of their pixels.
+    digits = max(9, 6 - math.floor(math.log10(side)))
+    corner = np.round(centres.min(axis=0) - 0.5 * side, digits) + 0.0
+    span = np.floor((centres.max(axis=0) - corner) / side)
+    if float((span + 1.0).prod()) > _MAX_PIXELS:
+        raise ArgumentError(
+            f"{path}: the image would have {span[0] + 1:.0f} x {span[1] + 1:.0f} pixels, more than {_MAX_PIXELS}; "
+            f"export a coarser level, or crop the map"
+        )
+    width, height = int(span[0]) + 1, int(span[1]) + 1
+    image = np.empty((height, width), np.uint8)
+    table = ClassTable(lattice, [(states.free, np.ones(len(states.free), np.uint8))])
+    xs = corner[0] + (np.arange(width) + 0.5) * side
+    ys = corner[1] + (np.arange(height) + 0.5) * side
+    for rows, points in pixel_rows(xs, ys):
+        image[rows] = np.where(table.at(points) > 0, _FREE_PIXEL, _UNKNOWN_PIXEL).reshape(-1, width)
+    for points, value in ((free, _FREE_PIXEL), (occupied, _OCCUPIED_PIXEL)):
+        pixel = np.floor((points - corner) / side).astype(np.int64)
+        image[pixel[:, 1], pixel[:, 0]] = value
+    return side, (float(corner[0]), float(corner[1])), image
+
+
+# map_server's values: black is occupied, 254 is free, 205 lies between its default thresholds.
+_OCCUPIED_PIXEL, _FREE_PIXEL, _UNKNOWN_PIXEL = 0, 254, 205
+
+
+_MAX_PIXELS = 10**9

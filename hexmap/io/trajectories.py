@@ -1,0 +1,175 @@
+"""Trajectory files: TUM in and out, and true relations in."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import ArgumentError, FileAccessError, TrajectoryError
+from hexmap.poses.pose import Pose
+from hexmap.poses.rotations import quaternions_to_rotations
+from hexmap.poses.trajectory import Relations, Trajectory
+
+
+def read_tum(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a trajectory in TUM format: ``stamp x y z qx qy qz qw``, in seconds and metres.
+
+    Lines starting with ``#`` and blank lines are skipped. Quaternions are normalised.
+
+    Raises:
+        FileAccessError: the file cannot be opened.
+        TrajectoryError: a line without eight finite numbers or with a quaternion whose length is
+            not 1 (to 1 %), or a file without poses; the text names file, line and value.
+    """
+    table, lines = _read_table(path, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw"), "poses")
+    norms = np.linalg.norm(table[:, 4:], axis=1)
+    bad = np.abs(norms - 1.0) > 0.01
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise TrajectoryError(f"{path}, line {lines[i]}: the quaternion's length is {norms[i]:.6g}, not 1")
+    return Trajectory(table[:, 0], table[:, 1:4], table[:, 4:])
+
+
+def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
+    """Write a trajectory in TUM format; an older file of that name is replaced in one step.
+
+    Raises:
+        FileAccessError: the folder is missing or not writable.
+    """
+    with TumWriter(path) as writer:
+        for stamp, pose in zip(trajectory.stamps.tolist(), trajectory, strict=True):
+            writer.append(stamp, pose)
+
+
+class TumWriter:
+    """Write a trajectory pose by pose; the file appears, whole, when the block ends well.
+
+    On an exception, Ctrl-C included, an older file of that name stays as it was.
+
+    Attributes:
+        path: where the trajectory goes.
+        count: poses appended so far.
+
+    Examples:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     with TumWriter(Path(folder) / "a.tum") as writer:
+        ...         writer.append(0.5, Pose.planar(1.0, 2.0, 0.0))
+        ...     (Path(folder) / "a.tum").read_text().split()[:4]
+        ['0.500000', '1.000000000', '2.000000000', '0.000000000']
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Take the path; the file is opened by ``with``."""
+        self.path = Path(path)
+        self.count = 0
+        self._stack = contextlib.ExitStack()
+        self._handle: IO[str] | None = None
+
+    def __enter__(self) -> TumWriter:
+        """Open the temporary file.
+
+        Raises:
+            FileAccessError: the folder is missing or not writable.
+        """
+        self._handle = self._stack.enter_context(atomic_write(self.path, "w"))
+        return self
+
+    def append(self, stamp: float, pose: Pose) -> None:
+        """Append one pose at ``stamp`` seconds.
+
+        Raises:
+            ArgumentError: a stamp that is not finite, or a writer outside its ``with`` block.
+        """
+        if self._handle is None:
+            raise ArgumentError(f"{self.path}: a TumWriter is used inside a with block")
+        if not math.isfinite(stamp):
+            raise ArgumentError(f"{self.path}: the stamp of pose {self.count} is {stamp}")
+        t, q = pose.translation, pose.quaternion()
+        z = float(t[2]) if pose.dim == 3 else 0.0
+        self._handle.write(
+            f"{stamp:.6f} {t[0]:.9f} {t[1]:.9f} {z:.9f} {q[0]:.12f} {q[1]:.12f} {q[2]:.12f} {q[3]:.12f}\n"
+        )
+        self.count += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool | None:
+        """Put the file in its place, or remove the temporary one after an exception."""
+        self._handle = None
+        return self._stack.__exit__(kind, error, trace)
+
+
+def read_relations(path: str | os.PathLike[str]) -> Relations:
+    """Read true relative poses: ``t1 t2 dx dy dz roll pitch yaw``, seconds, metres, radians.
+
+    The pose at t2 seen from the pose at t1 (Kuemmerle et al. 2009); the rotation is
+    Rz(yaw) Ry(pitch) Rx(roll).
+
+    Raises:
+        FileAccessError: the file cannot be opened.
+        TrajectoryError: a line without eight finite numbers, or a file without relations; the
+            text names file, line and value.
+    """
+    table, _ = _read_table(path, ("t1", "t2", "dx", "dy", "dz", "roll", "pitch", "yaw"), "relations")
+    half = 0.5 * table[:, 5:8]
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    quaternions = np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=1,
+    )
+    return Relations(table[:, 0], table[:, 1], table[:, 2:5], quaternions_to_rotations(quaternions))
+
+
+def _read_table(path: str | os.PathLike[str], columns: tuple[str, ...], what: str) -> tuple[FloatArray, list[int]]:
+    """Read lines of numbers; comments (#) and blank lines are skipped. Returns rows and line numbers."""
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    try:
+        with open(path, "rb") as handle:
+            for number, raw in enumerate(handle, 1):
+                tokens = raw.split()
+                if not tokens or tokens[0].startswith(b"#"):
+                    continue
+                try:
+                    row = [float(token) for token in tokens]
+                except ValueError:
+                    row = []
+                # One test for all three complaints keeps the loop quick; the text is made below.
+                if len(row) != len(columns) or not math.isfinite(sum(row)):
+                    raise TrajectoryError(f"{path}, line {number}: {_complaint(tokens, columns)}")
+                rows.append(row)
+                lines.append(number)
+    except OSError as error:
+        raise FileAccessError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not rows:
+        raise TrajectoryError(f"{path}: no {what} in the file")
+    return np.array(rows, dtype=np.float64), lines
+
+
+def _complaint(tokens: list[bytes], columns: tuple[str, ...]) -> str:
+    for token in tokens:
+        text = token[:24].decode("utf-8", "replace")
+        # A binary file ends here on its first line: escape what a terminal should not see.
+        shown = text if text.isprintable() else ascii(text)[1:-1]
+        try:
+            if not math.isfinite(float(token)):
+                return f"'{shown}' is not finite"
+        except ValueError:
+            return f"'{shown}' is not a number; expected: {' '.join(columns)}"
+    if len(tokens) == len(columns):
+        return "the numbers are too large"
+    return f"{len(tokens)} numbers, expected {len(columns)}: {' '.join(columns)}"

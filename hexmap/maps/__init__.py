@@ -1,0 +1,28 @@
+"""Occupied voxel lists and the maps made of them: counting, fusing, what a cell is, its outline, its metrics."""
+
+from __future__ import annotations
+
+from hexmap.maps.builder import MapBuilder
+from hexmap.maps.counter import CellCounter
+from hexmap.maps.map import Level, Map, MapDiff
+from hexmap.maps.metrics import coefficient_of_variation, distortion, interquartile_variability, voxel_count
+from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN, StateRule, States
+from hexmap.maps.voxel_list import VoxelList
+
+__all__ = [
+    "FREE",
+    "OCCUPIED",
+    "UNKNOWN",
+    "CellCounter",
+    "Level",
+    "Map",
+    "MapBuilder",
+    "MapDiff",
+    "StateRule",
+    "States",
+    "VoxelList",
+    "coefficient_of_variation",
+    "distortion",
+    "interquartile_variability",
+    "voxel_count",
+]

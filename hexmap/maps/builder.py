@@ -1,0 +1,115 @@
+"""Fuse scans at known poses into a map."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hexmap.base.errors import ArgumentError
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.counter import HITS, PASSES, CellCounter
+from hexmap.maps.map import Level, Map
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+
+
+class MapBuilder:
+    """Fuses scans at known poses into a map; the result does not depend on their order.
+
+    Examples:
+        >>> builder = MapBuilder(Lattice.named("A2", resolution=0.1), levels=2)
+        >>> builder.fuse(Scan(stamp=0.0, points=np.array([[2.0, 0.0]])), Pose.planar(0.0, 0.0, 0.0))
+        >>> len(builder.build().levels[0].hits)
+        1
+    """
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        levels: int = 3,
+        *,
+        min_range: float = 0.0,
+        max_range: float = float("inf"),
+        clear_no_return: float = 0.0,
+    ) -> None:
+        """Make an empty builder.
+
+        Args:
+            lattice: the lattice of the finest level.
+            levels: how many levels, each of twice the resolution of the one before.
+            min_range: points nearer to the sensor than this, metres, are left out (the robot itself).
+            max_range: points farther than this, metres, are left out; their beams still clear the
+                cells up to this range.
+            clear_no_return: metres that a beam without return clears; 0, nothing, because such a
+                beam often met a black or slanted surface close by.
+
+        Raises:
+            ArgumentError: a number is out of its range.
+        """
+        if levels < 1 or levels > 16:
+            raise ArgumentError(f"a map has 1 to 16 levels, not {levels}")
+        if not 0.0 <= min_range < max_range:
+            raise ArgumentError(f"the ranges must be 0 <= minimum < maximum, not {min_range:g} and {max_range:g}")
+        if not 0.0 <= clear_no_return < float("inf"):
+            raise ArgumentError(f"beams without return clear 0 metres or more, not {clear_no_return:g}")
+        self._counters = [CellCounter(lattice.scaled(2.0**k)) for k in range(levels)]
+        self._min_range = min_range
+        self._max_range = max_range
+        self._clear_no_return = clear_no_return
+        self.scans = 0
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice of the finest level."""
+        return self._counters[0].lattice
+
+    def counter(self, level: int = 0) -> CellCounter:
+        """Return the counts of a level as they are now, for reading."""
+        return self._counters[level]
+
+    def fuse(self, scan: Scan, T_map_scan: Pose) -> None:
+        """Add a scan: its points as hits, the cells its beams went through as passes.
+
+        Raises:
+            ArgumentError: scan, pose and lattice are not all of the same dimension.
+            BoundsError: a point falls outside the range of indices; nothing of the scan is added.
+        """
+        n = self.lattice.dim
+        if scan.dim != n or T_map_scan.dim != n:
+            raise ArgumentError(
+                f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
+            )
+        from hexmap.lattice.rays import traverse
+
+        if not np.isfinite(scan.points).all():
+            self.lattice.quantise(scan.points)  # raises, naming the row
+        ranges = np.sqrt((scan.points**2).sum(axis=1))
+        hit = (ranges >= self._min_range) & (ranges <= self._max_range)
+        beyond = ranges > self._max_range
+        cleared = scan.points[beyond] * (self._max_range / ranges[beyond])[:, None] if beyond.any() else scan.points[:0]
+        if self._clear_no_return > 0.0 and len(scan.no_return):
+            reach = min(self._clear_no_return, self._max_range)
+            cleared = np.concatenate([cleared, scan.no_return * reach])
+        ends = T_map_scan.apply(scan.points[hit])
+        open_ends = T_map_scan.apply(cleared)
+        origin = T_map_scan.translation
+        additions = []
+        for counter in self._counters:
+            lattice = counter.lattice
+            through = traverse(lattice, np.broadcast_to(origin, ends.shape), ends).without_ends()
+            opened = traverse(lattice, np.broadcast_to(origin, open_ends.shape), open_ends).index
+            additions.append((counter, lattice.quantise(ends), through, opened))
+        for counter, hits, through, opened in additions:
+            counter.add(hits, HITS)
+            counter.add(through, PASSES)
+            counter.add(opened, PASSES)
+        self.scans += 1
+
+    def build(self, frame: str = "map", source: Mapping[str, Any] | None = None) -> Map:
+        """Return the map of all scans fused so far; ``source`` says where they came from."""
+        levels = [Level(c.to_list(HITS), c.to_list(PASSES)) for c in self._counters]
+        provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
+        return Map(levels, frame, provenance)

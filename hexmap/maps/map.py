@@ -1,0 +1,208 @@
+"""Maps: what was hit and what the beams went through, at several resolutions, on one lattice.
+
+No hexagon and no dodecahedron is a union of smaller ones, so every level is quantised from the
+points. A map holds counts only; whether a cell is occupied, free or unknown is asked of one rule
+(:class:`StateRule`) that pictures, exports, planners and matchers share.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexmap.base.errors import ArgumentError, LatticeError
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.state_rule import FREE, OCCUPIED, StateRule, States
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.pose import Pose
+
+__all__ = ["Level", "Map", "MapDiff"]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One resolution of a map: hits and passes on the same lattice."""
+
+    hits: VoxelList
+    passes: VoxelList
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice of this level."""
+        return self.hits.lattice
+
+    def columns(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Return the keys (M,) of all cells that were hit or passed, and their hits and passes (M,)."""
+        keys = np.union1d(self.hits.keys, self.passes.keys)
+        hits = np.zeros(len(keys), np.int64)
+        passes = np.zeros(len(keys), np.int64)
+        hits[np.searchsorted(keys, self.hits.keys)] = self.hits.counts
+        passes[np.searchsorted(keys, self.passes.keys)] = self.passes.counts
+        return keys, hits, passes
+
+
+@dataclass(frozen=True)
+class MapDiff:
+    """What changed between two maps, as lists of cells on the finest level.
+
+    Attributes:
+        appeared: occupied in the second map and free or unknown in the first.
+        vanished: occupied in the first map and free in the second.
+        kept: occupied in both.
+    """
+
+    appeared: VoxelList
+    vanished: VoxelList
+    kept: VoxelList
+
+
+class Map:
+    """A map: levels from fine to coarse, the frame, and where it came from; immutable.
+
+    Attributes:
+        levels: the finest first; each level's lattice has twice the resolution of the one before.
+        frame: name of the frame the coordinates are in.
+        provenance: sorted JSON texts, one for each log that was fused (with command and settings).
+    """
+
+    def __init__(self, levels: Iterable[Level], frame: str = "map", provenance: Iterable[str] = ()) -> None:
+        """Make a map of its levels.
+
+        Raises:
+            ArgumentError: there is no level.
+            LatticeError: the levels are not the same lattice at doubling resolutions.
+        """
+        self.levels = tuple(levels)
+        if not self.levels:
+            raise ArgumentError("a map needs at least one level")
+        for k, level in enumerate(self.levels):
+            if level.passes.lattice != level.lattice:
+                raise LatticeError(f"hits and passes of level {k} are on different lattices")
+            if not np.allclose(level.lattice.basis, self.levels[0].lattice.basis * 2.0**k, rtol=1e-9, atol=0.0):
+                raise LatticeError(f"level {k} is not the lattice of level 0 at {2**k} times its resolution")
+        self.frame = frame
+        self.provenance = tuple(sorted(set(provenance)))
+
+    @property
+    def lattice(self) -> Lattice:
+        """The lattice of the finest level."""
+        return self.levels[0].lattice
+
+    def level(self, k: int) -> Level:
+        """Return level ``k``, 0 is the finest.
+
+        Raises:
+            ArgumentError: there is no such level.
+        """
+        if not 0 <= k < len(self.levels):
+            raise ArgumentError(f"the map has levels 0 to {len(self.levels) - 1}, not {k}")
+        return self.levels[k]
+
+    def sources(self) -> list[dict[str, Any]]:
+        """Return where the map came from: one entry for each log, with its settings and versions."""
+        found = []
+        for text in self.provenance:
+            try:
+                value = json.loads(text)
+            except ValueError:
+                value = text
+            found.append(value if isinstance(value, dict) else {"note": value})
+        return found
+
+    def state(self, rule: StateRule | None = None, level: int = 0) -> States:
+        """Return which cells of a level are occupied and which are free, by one rule for all users."""
+        rule = rule or StateRule()
+        at = self.level(level)
+        keys, hits, passes = at.columns()
+        occupied = rule.occupied(hits, passes)
+        free = ~occupied & (passes >= rule.min_passes)
+        return States(
+            VoxelList(at.lattice, keys[occupied], hits[occupied]), VoxelList(at.lattice, keys[free], passes[free])
+        )
+
+    def merge(self, other: Map) -> Map:
+        """Return the map of both logs: counts added cell by cell; associative and commutative.
+
+        Raises:
+            LatticeError: the lattices or the numbers of levels differ.
+            ArgumentError: the frames differ.
+        """
+        if self.frame != other.frame:
+            raise ArgumentError(f"the maps are in different frames: {self.frame!r} and {other.frame!r}")
+        if len(self.levels) != len(other.levels):
+            raise LatticeError(f"the maps have {len(self.levels)} and {len(other.levels)} levels")
+        levels = [
+            Level(a.hits.merge(b.hits), a.passes.merge(b.passes))
+            for a, b in zip(self.levels, other.levels, strict=True)
+        ]
+        return Map(levels, self.frame, (*self.provenance, *other.provenance))
+
+    def crop(self, low: ArrayLike, high: ArrayLike) -> Map:
+        """Return the cells whose centre lies in the box from ``low`` to ``high`` (n,), metres, both included."""
+        lo, hi = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        n = self.lattice.dim
+        if lo.shape != (n,) or hi.shape != (n,) or not (lo <= hi).all():
+            raise ArgumentError(f"a box in dimension {n} takes two corners of {n} numbers, the low one first")
+
+        def cut(cells: VoxelList) -> VoxelList:
+            centres = cells.centres()
+            return cells.select(np.all((centres >= lo) & (centres <= hi), axis=1))
+
+        return Map([Level(cut(v.hits), cut(v.passes)) for v in self.levels], self.frame, self.provenance)
+
+    def transform(self, pose: Pose, frame: str | None = None) -> Map:
+        """Return the map carried by ``pose``: each cell's counts move to the cell nearest to its moved centre.
+
+        All counts are kept; positions move by up to the covering radius, as the points behind the
+        cells are no longer known. Fuse the log again where that matters.
+        """
+
+        def move(cells: VoxelList) -> VoxelList:
+            moved = cells.lattice.quantise(pose.apply(cells.centres()))
+            return VoxelList.from_cells(moved, cells.lattice, cells.counts)
+
+        return Map([Level(move(v.hits), move(v.passes)) for v in self.levels], frame or self.frame, self.provenance)
+
+    def diff(self, other: Map, rule: StateRule | None = None) -> MapDiff:
+        """Return what changed from this map to ``other`` on the finest level.
+
+        Raises:
+            LatticeError: the lattices differ.
+        """
+        if self.lattice != other.lattice:
+            raise LatticeError(f"the maps are on different lattices: {self.lattice!r} and {other.lattice!r}")
+        before, after = self.state(rule), other.state(rule)
+        was = before.of(after.occupied.index)
+        now = after.of(before.occupied.index)
+        return MapDiff(
+            appeared=after.occupied.select(was != OCCUPIED),
+            vanished=before.occupied.select(now == FREE),
+            kept=after.occupied.select(was == OCCUPIED),
+        )
+
+    def bounds(self, level: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Return the corners (n,), metres, of the box of all cell centres; None for an empty map."""
+        keys, _, _ = self.level(level).columns()
+        if len(keys) == 0:
+            return None
+        centres = VoxelList(self.level(level).lattice, keys, np.ones_like(keys)).centres()
+        return centres.min(axis=0), centres.max(axis=0)
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether two maps are the same, cell by cell, and came from the same logs."""
+        if not isinstance(other, Map):
+            return NotImplemented
+        return self.levels == other.levels and self.frame == other.frame and self.provenance == other.provenance
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        """Show size and lattice."""
+        return f"<Map of {len(self.levels[0].hits)} hit cells, {len(self.levels)} levels on {self.lattice!r}>"
+
+

@@ -1,0 +1,9 @@
+"""The paper's own experiments: rotation, the quantiser, and a verdict on each of its claims."""
+
+from __future__ import annotations
+
+from hexmap.paper.quantiser import quantiser_experiment
+from hexmap.paper.rotation import RotationSettings, rotation_experiment
+from hexmap.paper.verdicts import Evidence, judge
+
+__all__ = ["Evidence", "RotationSettings", "judge", "quantiser_experiment", "rotation_experiment"]

@@ -1,0 +1,53 @@
+"""Rotations as arrays, for many at a time; a single one is a Pose."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+
+
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the products (..., n, n) of rotations ``a`` (..., n, n) with ``b`` (n, n), entry by entry.
+
+    Written out for the same reason as in :func:`hexmap.base.arrays.multiply`.
+    """
+    out = np.zeros(a.shape)
+    for i, j, k in itertools.product(range(len(b)), repeat=3):
+        out[..., i, j] += a[..., i, k] * b[k, j]
+    return out
+
+
+def exponential(v: FloatArray) -> FloatArray:
+    """Return the rotation matrix of the rotation vector ``v`` (3,) (Rodrigues)."""
+    angle = float(np.sqrt((v**2).sum()))
+    K = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    if angle < 1e-12:
+        return np.asarray(np.eye(3) + K)
+    return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K))
+
+
+def angles(turns: FloatArray) -> FloatArray:
+    """Return the angle (R,) of each rotation matrix."""
+    trace = np.trace(turns, axis1=1, axis2=2)
+    cosine = trace / 2.0 if turns.shape[1] == 2 else (trace - 1.0) / 2.0
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def quaternions_to_rotations(q: FloatArray) -> FloatArray:
+    """Return the (N, 3, 3) rotations of unit quaternions (N, 4) x y z w."""
+    x, y, z, w = q.T
+    R = np.empty((len(q), 3, 3))
+    R[:, 0, 0] = 1 - 2 * (y * y + z * z)
+    R[:, 0, 1] = 2 * (x * y - z * w)
+    R[:, 0, 2] = 2 * (x * z + y * w)
+    R[:, 1, 0] = 2 * (x * y + z * w)
+    R[:, 1, 1] = 1 - 2 * (x * x + z * z)
+    R[:, 1, 2] = 2 * (y * z - x * w)
+    R[:, 2, 0] = 2 * (x * z - y * w)
+    R[:, 2, 1] = 2 * (y * z + x * w)
+    R[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    return R

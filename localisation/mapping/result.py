@@ -1,0 +1,115 @@
+"""What mapping a log returns, and what it counts on the way."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hexmap.base.errors import LogError
+from hexmap.io.logs.log import Log
+from hexmap.maps.map import Map
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Event
+from localisation.settings import MappingSettings
+
+
+@dataclass(frozen=True, eq=False)
+class MappingResult:
+    """A finished map and what was counted on the way.
+
+    Attributes:
+        map: the map.
+        scans: laser readings fused.
+        odometry: odometry readings seen.
+        matched: scans that were matched (the first has nothing to be matched against).
+        unmatched: scans that coincided with nothing and kept their prediction.
+        skipped: scans without a pose, where poses were given.
+        mean_part: mean part of a scan's cells that coincided with the map when it was matched.
+        metres: length of the path.
+        warnings: what was wrong with the log, one line each.
+    """
+
+    map: Map
+    scans: int
+    odometry: int
+    matched: int
+    unmatched: int
+    skipped: int
+    mean_part: float
+    metres: float
+    warnings: list[str]
+
+
+class UnusableScans:
+    """Counts the scans that cannot go into the map and remembers the first, for one clear line."""
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._count = 0
+        self._first = ""
+
+    def add(self, event: Event, error: Exception) -> None:
+        """Count a scan that ``error`` keeps out of the map."""
+        if self._count == 0:
+            self._first = f"line {event.line}: {error}" if event.line is not None else str(error)
+        self._count += 1
+
+    def check(self, used: int) -> None:
+        """Raise where not one scan could be used."""
+        if self._count and not used:
+            raise LogError(f"{self._log.path}: no scan can be used, {self._first}")
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to say of them: one line, or none."""
+        if not self._count:
+            return []
+        return [f"{self._log.path}: {self._count} scans cannot be used and are left out, the first at {self._first}"]
+
+
+class PoseRecorder:
+    """Passes poses on and measures the path."""
+
+    def __init__(self, on_pose: OnPose | None) -> None:
+        self._on_pose = on_pose
+        self._last: Pose | None = None
+        self.metres = 0.0
+
+    def add(self, stamp: float, pose: Pose, is_scan: bool) -> None:
+        """Take the pose of the next reading, T_map_robot."""
+        if self._last is not None:
+            self.metres += math.dist(self._last.translation, pose.translation)
+        self._last = pose
+        if self._on_pose is not None:
+            self._on_pose(stamp, pose, is_scan)
+
+
+def provenance(log: Log, settings: MappingSettings, result: str) -> dict[str, Any]:
+    """Return what the map file says of where the map came from."""
+    import numba
+
+    from hexmap.base.version import __version__
+
+    return {
+        "log": log.path.name,
+        "format": log.format,
+        "poses": result,
+        "settings": settings.to_dict(),
+        "versions": {
+            "hexmap": __version__,
+            "numpy": np.__version__,
+            "numba": numba.__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+Progress = Callable[[int], None]
+
+
+OnPose = Callable[[float, Pose, bool], None]

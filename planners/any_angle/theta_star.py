@@ -1,0 +1,254 @@
+"""Any-angle paths on any lattice: lazy Theta* with an exact line of sight, and making its paths taut."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexmap.base.arrays import IntArray
+from hexmap.base.errors import ArgumentError
+from hexmap.lattice.lattice import Lattice
+from planners.path import Path, _not_connected, cells_to_flat, make_path, measure
+from planners.search.sparse_arrays import blank
+
+if TYPE_CHECKING:
+    from hexmap.graph.lattice_graph import LatticeGraph
+
+__all__ = ["any_angle", "line_of_sight"]
+
+_KEY_STEPS = 2.0**32  # keys of the queue a shortest move
+_ROUNDS = 20  # of making a path taut; three or four are the rule
+_WINDOW = 8  # turning cells that a straight line may leave out, plus one
+_TOUCH = 2e-9  # of the cell's width: the tolerance of hexmap.graph.swept_cells
+
+
+class View(NamedTuple):
+    """What the line of sight needs to know of a lattice and a window, as plain arrays.
+
+    Attributes:
+        strides: (n,) int64 of the window.
+        shape: (n,) int64 cells along each index.
+        block_strides: (n,) int64 of the blocks of 4 cells a side.
+        basis: (n, n) float64, metres.
+        gram: (n, n) float64 of the basis.
+        generators: (E, n) float64, the edges of the cell, one of each direction, in index coordinates.
+        reach: (n,) float64, how far the cell reaches along each index.
+        least: less than the product, by ``gram``, of any cell between two ends with the way between these.
+        touch: the cell is taken larger by this part.
+        guard: whether cells touched by a line in the window may lie outside it.
+        work: (2, E) float64 scratch.
+    """
+
+    strides: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    block_strides: NDArray[np.int64]
+    basis: NDArray[np.float64]
+    gram: NDArray[np.float64]
+    generators: NDArray[np.float64]
+    reach: NDArray[np.float64]
+    least: float
+    touch: float
+    guard: bool
+    work: NDArray[np.float64]
+
+
+@lru_cache(maxsize=64)
+def _generators(lattice: Lattice) -> NDArray[np.float64]:
+    """Return the edges (E, n) of the lattice's cell, one of each direction, in index coordinates."""
+    cell = lattice.cell
+    edges = np.concatenate([np.roll(cell.vertices[ring], -1, axis=0) - cell.vertices[ring] for ring in cell.rings])
+    unit = lattice.resolution
+    found: list[NDArray[np.float64]] = []
+    for edge in edges:
+        # Parallel edges are equally long.
+        if np.linalg.norm(edge) > 1e-10 * unit and not any(
+            min(np.linalg.norm(edge - z), np.linalg.norm(edge + z)) < 1e-8 * unit for z in found
+        ):
+            found.append(edge)
+    return np.ascontiguousarray(np.linalg.solve(lattice.basis, np.array(found).T).T)
+
+
+def make_view(graph: LatticeGraph) -> View:
+    """Return the tables of a graph."""
+    lattice = graph.lattice
+    generators = _generators(lattice)
+    reach = 0.5 * np.abs(generators).sum(axis=0)
+    basis = np.ascontiguousarray(lattice.basis, dtype=np.float64).copy()
+    blocks = -(-graph.shape // 4)
+    block_strides = np.array([math.prod(blocks[i + 1 :].tolist()) for i in range(lattice.dim)], dtype=np.int64)
+    return View(
+        np.ascontiguousarray(graph.strides),
+        np.ascontiguousarray(graph.shape),
+        block_strides,
+        basis,
+        np.ascontiguousarray(basis.T @ basis),
+        generators,
+        reach,
+        lattice.inradius**2,
+        _TOUCH,
+        bool((np.floor(reach + 1e-6) > graph.pad).any()),
+        np.empty((2, len(generators))),
+    )
+
+
+def line_of_sight(graph: LatticeGraph, a: ArrayLike, b: ArrayLike) -> bool | NDArray[np.bool_]:
+    """Tell whether the straight line between the centres of two cells is free.
+
+    It is where every cell is free whose closed Voronoi cell meets the line (to 1e-9 of a cell), the
+    sentence of the graph's corner rule: a line through a corner of a blocked cell, along its face or
+    between two blocked cells that meet in a corner is not free. Cells outside the window are not free.
+
+    Args:
+        graph: whose cells may be free.
+        a: a cell's index (n,), or many (M, n).
+        b: the other ends, as many, or one for all.
+
+    Returns:
+        bool, or (M,) bool where ``a`` or ``b`` are many.
+
+    Raises:
+        ArgumentError: not integers of that shape.
+
+    Examples:
+        >>> from hexmap.graph import LatticeGraph
+        >>> from hexmap.lattice import Lattice
+        >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.array([[1, 1, 1], [1, 0, 1]], np.uint8))
+        >>> line_of_sight(graph, [0, 0], [[0, 2], [1, 0], [1, 2]]).tolist()
+        [True, True, False]
+    """
+    starts, ends = np.asarray(a), np.asarray(b)
+    n = graph.lattice.dim
+    for cells in (starts, ends):
+        if cells.dtype.kind not in "iu" or cells.ndim not in (1, 2) or cells.shape[-1] != n:
+            raise ArgumentError(
+                f"a line of sight joins cells ({n},) or (M, {n}) of integers, not {cells.dtype} {cells.shape}"
+            )
+    if starts.ndim == ends.ndim == 2 and len(starts) != len(ends):
+        raise ArgumentError(f"lines of sight need as many ends as starts, not {len(starts)} and {len(ends)}")
+    from planners.any_angle import _kernels as kernels
+
+    many = starts.ndim == 2 or ends.ndim == 2
+    pairs = np.broadcast_arrays(np.atleast_2d(starts), np.atleast_2d(ends))
+    inside = (graph.index_to_flat(pairs[0]) >= 0) & (graph.index_to_flat(pairs[1]) >= 0)
+    places = [np.ascontiguousarray(p.astype(np.int64) - graph.low) for p in pairs]
+    out = np.zeros(len(inside), np.bool_)
+    kernels.sights(make_view(graph), graph.free, np.empty(0, np.uint8), places[0], places[1], inside, out)
+    return out if many else bool(out[0])
+
+
+def any_angle(
+    graph: LatticeGraph,
+    start: ArrayLike,
+    goal: ArrayLike,
+    *,
+    clearance: NDArray[np.float64] | None = None,
+    lazy: bool = True,
+    tighten: bool = True,
+) -> Path:
+    """Return a short path of straight lines at any angle from ``start`` to ``goal``.
+
+    Lazy Theta* (Nash, Koenig and Tovey, 2010, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in
+    3D") over the graph's moves with :func:`line_of_sight`. Other than there, a cell whose parent does
+    not see it also tries its neighbours' parents, goes back into the queue, and is expanded again where a
+    shorter way to it turns up; so the path is never longer than A*'s on the same graph. It is then made
+    taut: turning cells are left out, moved to neighbours and cut off, as long as that shortens.
+
+    The path is not the shortest one of its kind in general; where obstacles lie on both sides the
+    planner may pass them on the wrong one. Turning points are centres of cells, as far from walls as
+    these are: on coarse cells that alone makes it longer than that of a point.
+
+    Args:
+        graph: where to go, without terrain.
+        start: a cell's index (n,).
+        goal: a cell's index (n,).
+        clearance: (size,) metres, of which the least of all cells that the path touches is reported.
+        lazy: look along a line when its end is expanded, not when it is reached. Fewer lines are
+            looked along (Theta*, Nash and others, 2007, is the other one); lengths hardly differ.
+        tighten: make the path taut.
+
+    Returns:
+        the path; its ``cells`` are the start, the turning cells and the goal, each of which sees the next,
+            and its ``bound`` is its length over the straight distance; nothing closer is known.
+
+    Raises:
+        NoPath: an end is blocked or outside the map, or nothing connects them.
+        ArgumentError: the graph has terrain, or an end is not one cell.
+
+    Examples:
+        >>> from hexmap.graph import LatticeGraph
+        >>> from hexmap.lattice import Lattice
+        >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((4, 5), np.uint8))
+        >>> any_angle(graph, [0, 0], [3, 4]).length
+        5.0
+    """
+    if graph.terrain is not None:
+        raise ArgumentError("an any-angle path takes no terrain: its straight lines are compared by their length alone")
+    for role, cell in (("start", start), ("goal", goal)):
+        if np.ndim(cell) != 1:
+            raise ArgumentError(
+                f"an any-angle path has one {role}, a cell ({graph.lattice.dim},), not {np.shape(cell)}"
+            )
+    source = cells_to_flat(graph, start, "start")
+    target = cells_to_flat(graph, goal, "goal")
+    begin = time.perf_counter()
+    if source[0] == target[0]:
+        return make_path(graph, source, clearance=clearance, seconds=time.perf_counter() - begin)
+    labels = getattr(graph, "_labels", None)
+    if labels is not None and labels[source[0]] != labels[target[0]]:
+        raise _not_connected(start, goal)
+    way, counts = search_way(graph, int(source[0]), int(target[0]), lazy=lazy, tighten=tighten)
+    if len(way) == 0:
+        raise _not_connected(start, goal)
+    seconds = time.perf_counter() - begin
+    cells = graph.flat_to_index(way)
+    points = np.ascontiguousarray(graph.lattice.centres(cells), dtype=np.float64)
+    length, turning = measure(points)
+    least = None
+    if clearance is not None:
+        along = [touched_cells(graph, a, b) for a, b in itertools.pairwise(way)]
+        least = float(np.asarray(clearance).reshape(-1)[np.concatenate(along)].min())
+    expansions, pushes, _, scanned = (int(c) for c in counts)
+    bound = max(length / float(np.linalg.norm(points[-1] - points[0])), 1.0)
+    return Path(cells, points, length, length, turning, least, expansions, pushes, scanned, seconds, bound)
+
+
+def search_way(
+    graph: LatticeGraph, source: int, target: int, *, lazy: bool = True, tighten: bool = True
+) -> tuple[IntArray, IntArray]:
+    """Return the flat turning cells (M,), none without a path, and the counts.
+
+    The counts (4,) are expansions, pushes, lines of sight and cells looked at on them.
+    """
+    from planners.any_angle import _kernels as kernels
+
+    view = make_view(graph)
+    counts = np.zeros(4, np.int64)
+    # Pages that a short search does not touch cost nothing.
+    g, parent = blank(graph.size, np.float64), blank(graph.size, np.int32)
+    mark = blank(graph.size, np.uint8)
+    steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
+    scale = _KEY_STEPS / float(graph.lengths.min())
+    found = kernels.search(
+        view, graph.free, graph.offsets, graph.lengths, steps, graph.swept_starts, graph.swept,
+        source, target, scale, lazy, g, parent, mark, counts,
+    )  # fmt: skip
+    if not found:
+        return np.empty(0, np.int64), counts
+    way = kernels.follow(parent, target)
+    if tighten:
+        near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
+        way = kernels.tighten(view, graph.free, way, near, _ROUNDS, _WINDOW, counts)
+    return way, counts
+
+
+def touched_cells(graph: LatticeGraph, a: int, b: int) -> IntArray:
+    """Return the flat cells (M,) touched by the straight line between the flat cells ``a`` and ``b``, which is free."""
+    from planners.any_angle import _kernels as kernels
+
+    return kernels.touched(make_view(graph), graph.free, a, b)

@@ -1,0 +1,1 @@
+"""Shortest paths in a map that changes while the robot drives."""

@@ -1,0 +1,1 @@
+"""Search for shortest paths: A*, Dijkstra, canonical orderings, their heuristics, many queries at once."""

@@ -1,0 +1,199 @@
+"""Numba kernels of Dijkstra's fields: a wavefront on equal edges, buckets on others, and the ways back.
+
+As in :mod:`planners.search._astar_kernels`, all over padded flat arrays: a move k leads from the flat cell a
+to ``a + offsets[k]``, needs that cell free and also those it sweeps, and costs ``lengths[k]`` times the
+mean terrain of its two ends.
+"""
+
+# mypy: ignore-errors
+# Numba gives the kernels their types.
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from planners.search._shared_kernels import may_move, move_cost
+
+
+@njit(cache=True, nogil=True)
+def wavefront(state, offsets, queue, steps, count, goals, most):
+    """Write the least number of moves from the first ``count`` cells of ``queue`` into ``steps`` (size,).
+
+    Equal edges need no priority: cells are settled in the order in which they are found. ``state``
+    (size,) is 1 where a cell is free and not found; it is used up. ``queue`` has one place more
+    than there are free cells. Stops when all ``goals`` are found, or after ``most`` steps.
+
+    Returns how many cells have their steps.
+    """
+    one = np.uint64(1)
+    head = np.uint64(0)
+    end = np.uint64(count)
+    tail = np.uint64(count)
+    d = np.int32(0)
+    moves = offsets.shape[0]
+    while head < end and d <= most:
+        if goals.shape[0] > 0:
+            missing = False
+            for i in range(goals.shape[0]):
+                missing = missing or state[goals[i]] != 0
+            if not missing:
+                break
+        while head < end:
+            cell = queue[head]
+            head += one
+            steps[np.uint64(cell)] = d
+            for k in range(moves):
+                # Without a branch: written always, kept only if the cell was free and new.
+                to = np.uint64(np.int64(cell) + offsets[k])
+                queue[tail] = to
+                tail += np.uint64(state[to])
+                state[to] = 0
+        end = tail
+        d += np.int32(1)
+    if d <= most:  # stopped at the goals: the last front is final too
+        while head < end:
+            steps[np.uint64(queue[head])] = d
+            head += one
+    return np.int64(head)
+
+
+@njit(cache=True, nogil=True)
+def buckets(
+    free, offsets, lengths, swept_starts, swept, terrain, sources, goals, limit, inverse_width, slots, distance
+):
+    """Write the least cost from ``sources`` into ``distance`` (size,), given as infinite everywhere.
+
+    Where a bucket is no wider than the cheapest move, no move ends in the bucket it began in:
+    every cell is final when its bucket's turn comes, and the order within a bucket is free. With
+    wider buckets (moves of very different costs) a bucket is emptied again until nothing is added,
+    which is as exact and only counts some cells twice.
+    Stops when all ``goals`` are final; costs beyond ``limit`` are not entered. What is not final
+    at the end is infinite again.
+
+    Returns (expansions, pushes).
+    """
+    moves = offsets.shape[0]
+    heads = np.full(slots, -1, np.int64)
+    node = np.empty(1024, np.int64)
+    link = np.empty(1024, np.int64)
+    used = 0
+    spare = np.int64(-1)
+    waiting = 0
+    settled = 0
+    pushes = 0
+    for i in range(sources.shape[0]):
+        if distance[sources[i]] != 0.0:
+            distance[sources[i]] = 0.0
+            if used == node.shape[0]:
+                node = np.append(node, np.empty(used, np.int64))
+                link = np.append(link, np.empty(used, np.int64))
+            node[used] = sources[i]
+            link[used] = heads[0]
+            heads[0] = used
+            used += 1
+            waiting += 1
+            pushes += 1
+    turn = np.int64(0)
+    while waiting > 0:
+        while heads[turn % slots] >= 0:
+            entry = heads[turn % slots]
+            heads[turn % slots] = -1
+            while entry >= 0:
+                a = node[entry]
+                following = link[entry]
+                link[entry] = spare
+                spare = entry
+                waiting -= 1
+                entry = following
+                d = distance[a]
+                if np.int64(d * inverse_width) != turn:
+                    continue  # it was reached at less cost since, and settled in an earlier bucket
+                settled += 1
+                for k in range(moves):
+                    b = a + offsets[k]
+                    if free[b] == 0:
+                        continue
+                    reached = d + move_cost(a, b, k, lengths, terrain)
+                    old = distance[b]
+                    if not (reached < old and reached <= limit):
+                        continue
+                    if not may_move(free, a, k, offsets, swept_starts, swept):
+                        continue
+                    distance[b] = reached
+                    place = np.int64(reached * inverse_width)
+                    if place != turn and old < np.inf and np.int64(old * inverse_width) == place:
+                        continue  # it stands in that bucket already
+                    if spare >= 0:
+                        new = spare
+                        spare = link[spare]
+                    else:
+                        if used == node.shape[0]:
+                            node = np.append(node, np.empty(used, np.int64))
+                            link = np.append(link, np.empty(used, np.int64))
+                        new = np.int64(used)
+                        used += 1
+                    node[new] = b
+                    link[new] = heads[place % slots]
+                    heads[place % slots] = new
+                    waiting += 1
+                    pushes += 1
+        if goals.shape[0] > 0:
+            missing = False
+            for i in range(goals.shape[0]):
+                d = distance[goals[i]]
+                missing = missing or d == np.inf or np.int64(d * inverse_width) > turn
+            if not missing:
+                break
+        turn += 1
+    if waiting > 0:
+        for s in range(slots):
+            entry = heads[s]
+            while entry >= 0:
+                a = node[entry]
+                if distance[a] < np.inf and np.int64(distance[a] * inverse_width) > turn:
+                    distance[a] = np.inf
+                entry = link[entry]
+    return settled, pushes
+
+
+@njit(cache=True, nogil=True)
+def _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain):
+    """Return the lowest move by which the cell ``at`` got its value, or the number of moves at a source."""
+    moves = offsets.shape[0]
+    value = values[at]
+    if not (value > 0 and value < np.inf):
+        return moves
+    for k in range(moves):
+        before = at - offsets[k]
+        if free[before] == 0 or not (values[before] >= 0 and values[before] < np.inf):
+            continue
+        # The very sum of the search, hence equal to the last bit.
+        if values[before] + move_cost(before, at, k, lengths, terrain) != value:
+            continue
+        if may_move(free, before, k, offsets, swept_starts, swept):
+            return k
+    return moves
+
+
+@njit(cache=True, nogil=True)
+def parents(values, out, offsets, lengths, swept_starts, swept, free, terrain):
+    """Write for each cell the move that leads to it from its parent; the number of moves where there is none."""
+    for at in range(values.shape[0]):
+        out[at] = _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain)
+
+
+@njit(cache=True, nogil=True)
+def walk_back(values, at, offsets, lengths, swept_starts, swept, free, terrain):
+    """Return the flat cells from ``at`` back to a source."""
+    out = np.empty(64, np.int64)
+    out[0] = at
+    count = 1
+    while True:
+        k = _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain)
+        if k == offsets.shape[0]:
+            return out[:count].copy()
+        at -= offsets[k]
+        if count == out.shape[0]:
+            out = np.append(out, np.empty(count, np.int64))
+        out[count] = at
+        count += 1

@@ -1,0 +1,78 @@
+"""The reachable cell nearest to a point: where to go when one cannot get to the goal itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hexmap.base.errors import ArgumentError, BoundsError
+from planners.path import cells_to_flat
+
+if TYPE_CHECKING:
+    from hexmap.graph.lattice_graph import LatticeGraph
+
+__all__ = ["nearest_reachable"]
+
+_SAME = 1e-9  # distances that differ by less than this part of the resolution are ties
+_FAR = 2.0**53  # index coordinates that float64 can tell apart
+
+
+def nearest_reachable(graph: LatticeGraph, start: ArrayLike, point: ArrayLike) -> NDArray[np.int32]:
+    """Return the cell (n,) int32 that ``start`` is connected with whose centre is nearest to a point.
+
+    Exact; ties, to 1e-9 of the resolution, go to the lowest flat position. Balls around the point
+    are looked through, row by row and within the window only, each larger than the one before
+    until one holds such a cell: what lies farther away is not touched. The components are computed
+    if nobody has asked for them before.
+
+    Args:
+        graph: where to go.
+        start: a cell's index (n,).
+        point: (n,) metres, in the window or not.
+
+    Raises:
+        NoPath: the start is blocked or outside the map.
+        ArgumentError: not one start, or not one finite point.
+        BoundsError: the point is farther away than indices can tell.
+
+    Examples:
+        >>> from hexmap.graph import LatticeGraph
+        >>> from hexmap.lattice import Lattice
+        >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((3, 5), np.uint8))
+        >>> nearest_reachable(graph, [0, 0], [9.0, 3.2]).tolist()
+        [2, 3]
+    """
+    lattice = graph.lattice
+    p = np.array(point, dtype=np.float64)
+    if p.shape != (lattice.dim,) or not np.isfinite(p).all():
+        raise ArgumentError(f"a point of this graph must be {lattice.dim} finite numbers of metres, not {point!r}")
+    if np.ndim(start) != 1:
+        raise ArgumentError(f"a start is one cell ({lattice.dim},), not {np.shape(start)}")
+    source = int(cells_to_flat(graph, start, "start")[0])
+    inverse = np.linalg.inv(lattice.basis)
+    u = inverse @ p
+    if not np.abs(u).max() < _FAR:
+        raise BoundsError(f"the point {p.tolist()} is too far away for this resolution")
+    labels = graph.components()
+    from planners.search import _astar_kernels as kernels
+
+    first, inner = graph.first, graph.inner_shape
+    basis = np.ascontiguousarray(lattice.basis, dtype=np.float64).copy()
+    # |index_i - u_i| <= |row i of the inverse basis| * distance: as near as this nothing of the window can be.
+    rows = np.linalg.norm(inverse, axis=1)
+    gap = np.maximum(np.maximum(first - u, u - (first + inner - 1)), 0.0)
+    none_within = float((gap / rows).max())
+    # The start itself is a candidate.
+    enough = float(np.linalg.norm(graph.centres(np.array([source]))[0] - p)) + _SAME * lattice.resolution
+    more = lattice.covering_radius
+    arguments = (labels, labels[source], first, inner, graph.pad, graph.strides, basis, rows, p, u)
+    while True:
+        radius = min(none_within + more, enough)
+        found, distance = kernels.nearest_in_ball(*arguments, radius, False)
+        if found >= 0:
+            break
+        more *= 2.0
+    tied, _ = kernels.nearest_in_ball(*arguments, distance + _SAME * lattice.resolution, True)
+    return np.asarray(graph.flat_to_index(np.array([tied]))[0], dtype=np.int32)

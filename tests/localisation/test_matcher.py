@@ -1,0 +1,153 @@
+"""The scan matcher: the best pose of the window, on every lattice, and below a cell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hexmap.base.errors import ArgumentError, BoundsError
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.builder import MapBuilder
+from hexmap.maps.map import Map
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+from localisation.matching.local_matcher import ScanMatcher
+from localisation.matching.occupancy import CounterOccupancy, ListOccupancy
+from localisation.matching.search_region import SearchWindow, shifts_in_ball
+from tests.lattices import CASES, Case
+
+
+def room(dim: int, count: int, seed: int) -> np.ndarray:
+    """Points on the walls of a room with a corner cut off, off centre, so that no symmetry hides a mistake."""
+    rng = np.random.default_rng(seed)
+    p = rng.uniform(-2.0, 3.0, (count, dim))
+    wall = rng.integers(0, 2 * dim, count)
+    p[np.arange(count), wall % dim] = np.where(wall < dim, -2.0, 3.0)
+    inside = p.sum(axis=1) < 3.5 + dim
+    return p[inside]
+
+
+def brute_force(points, predicted, occupied, window, matcher):
+    """Score every angle and shift by the definition: distinct quantised points that are occupied cells."""
+    lattice = occupied.lattice
+    best = None
+    cells = set(map(tuple, occupied.index.tolist()))
+    shifts = shifts_in_ball(lattice, window.metres)
+    farthest = np.sqrt((points**2).sum(axis=1).max())
+    for r, turn in enumerate(matcher.rotations(points, lattice, window.radians)):
+        rotation = turn @ predicted.rotation
+        index = lattice.quantise(points @ rotation.T + predicted.translation)
+        distinct = set(map(tuple, index.tolist()))
+        trace = np.trace(turn)
+        angle = math.acos(min(1.0, max(-1.0, trace / 2 if lattice.dim == 2 else (trace - 1) / 2)))
+        for shift in shifts:
+            score = sum(tuple(np.add(c, shift)) in cells for c in distinct)
+            cost = float((lattice.centres(shift[None]) ** 2).sum()) + (angle * farthest) ** 2
+            if best is None or score > best[0] or (score == best[0] and cost < best[1] - 1e-9):
+                best = (score, cost, r, tuple(int(s) for s in shift))
+    return best
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_pose_of_the_window_is_never_lost(case: Case, seed: int) -> None:
+    lattice = case.lattice.scaled(0.5 / case.lattice.resolution)
+    rng = np.random.default_rng(seed)
+    walls = room(lattice.dim, 120, seed)
+    occupied = VoxelList.from_points(walls, lattice)
+    scan = room(lattice.dim, 25, seed + 50) + rng.normal(0, 0.1, lattice.dim)
+    predicted = Pose.identity(lattice.dim)
+    window = SearchWindow(0.9 if lattice.dim == 3 else 1.6, 0.12 if lattice.dim == 3 else 0.35)
+    matcher = ScanMatcher(window, refine=False)
+    match = matcher.match(scan, predicted, ListOccupancy(occupied))
+    score, cost, _, _ = brute_force(scan, predicted, occupied, window, matcher)
+    assert match is not None and match.score == score
+    found = predicted.inverse() @ match.pose
+    farthest = np.sqrt((scan**2).sum(axis=1).max())
+    assert (found.translation**2).sum() + (found.angle * farthest) ** 2 == pytest.approx(cost, abs=1e-6)
+    assert match.candidates == len(matcher.rotations(scan, lattice, window.radians)) * len(
+        shifts_in_ball(lattice, window.metres)
+    )
+
+
+@given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"]))
+@settings(max_examples=25, deadline=None)
+def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: str) -> None:
+    lattice = Lattice.named(name, 0.05)
+    walls = room(2, 4000, 1)
+    truth = Pose.planar(x, y, theta)
+    scan = truth.inverse().apply(walls[::10])
+    match = ScanMatcher().match(scan, Pose.identity(2), ListOccupancy(VoxelList.from_points(walls, lattice)))
+    assert match is not None and match.pose.is_close(truth, metres=0.02, radians=0.01)
+    assert match.part > 0.35
+
+
+@pytest.mark.parametrize("name", ["Z3", "D3", "D3*", "A2xZ"])
+def test_a_scan_is_found_in_space(name: str) -> None:
+    lattice = Lattice.named(name, 0.2)
+    walls = room(3, 20_000, 2)
+    half = math.radians(2.0)
+    truth = Pose.from_quaternion([0.23, -0.17, 0.11], [0.0, math.sin(half), 0.0, math.cos(half)])
+    scan = truth.inverse().apply(walls[::40])
+    match = ScanMatcher(SearchWindow(0.5, 0.15)).match(
+        scan, Pose.identity(3), ListOccupancy(VoxelList.from_points(walls, lattice))
+    )
+    assert match is not None and match.pose.is_close(truth, metres=0.1, radians=0.03)  # half a cell
+
+
+def test_equal_scores_go_to_the_pose_nearest_to_the_prediction() -> None:
+    lattice = Lattice.named("Z2", 0.1)
+    corridor = np.stack([np.arange(-50, 51) * 0.1, np.full(101, 1.0)], axis=1)
+    match = ScanMatcher(SearchWindow(0.5, 0.0), refine=False).match(
+        corridor[40:60], Pose.identity(2), ListOccupancy(VoxelList.from_points(corridor, lattice))
+    )
+    assert match is not None and match.pose == Pose.identity(2)
+
+
+def test_a_map_that_grows_and_the_finished_map_match_alike() -> None:
+    lattice = Lattice.named("A2", 0.1)
+    builder = MapBuilder(lattice, levels=2)
+    walls = room(2, 1500, 3)
+    builder.fuse(Scan(0.0, walls), Pose.identity(2))
+    world: Map = builder.build()
+    scan = Pose.planar(0.1, 0.05, 0.06).inverse().apply(walls[::7])
+    for level in (0, 1):
+        grows = ScanMatcher().match(scan, Pose.identity(2), CounterOccupancy(builder.counter(level)))
+        done = ScanMatcher().match(scan, Pose.identity(2), ListOccupancy.of_map(world, level=level))
+        assert grows is not None and done is not None
+        assert grows.score == done.score and grows.pose == done.pose
+
+
+def test_the_angular_step_moves_the_farthest_point_by_one_cell() -> None:
+    lattice = Lattice.named("A2", 0.1)
+    points = np.array([[1.0, 0.0], [0.0, 8.0]])
+    step = ScanMatcher().angular_step(points, lattice)
+    assert 2 * 8.0 * math.sin(step / 2) == pytest.approx(0.1)
+
+
+def test_nothing_in_reach_is_no_match() -> None:
+    lattice = Lattice.named("A2", 0.1)
+    far = ListOccupancy(VoxelList.from_points([[50.0, 50.0]], lattice))
+    empty = ListOccupancy(VoxelList.empty(lattice))
+    matcher = ScanMatcher()
+    assert matcher.match([[1.0, 0.0]], Pose.identity(2), far) is None
+    assert matcher.match([[1.0, 0.0]], Pose.identity(2), empty) is None
+    assert matcher.match(np.empty((0, 2)), Pose.identity(2), far) is None
+
+
+def test_wrong_input_is_named() -> None:
+    world = ListOccupancy(VoxelList.from_points([[0.0, 0.0]], Lattice.named("A2", 0.1)))
+    matcher = ScanMatcher()
+    with pytest.raises(ArgumentError):
+        matcher.match(np.zeros((4, 3)), Pose.identity(2), world)
+    with pytest.raises(ArgumentError):
+        matcher.match(np.zeros((4, 2)), Pose.identity(3), world)
+    with pytest.raises(BoundsError):
+        matcher.match(np.array([[np.nan, 0.0]]), Pose.identity(2), world)
+    with pytest.raises(ArgumentError):
+        SearchWindow(-1.0, 0.1)
