@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from hexmap.experiments.report.numbers import format_interval
-from hexmap.experiments.report.pieces import Verdict
+from hexmap.experiments.report.elements import Verdict
 from hexmap.experiments.statistics import Interval
 from hexmap.lattice.lattice import Lattice
 
