@@ -21,7 +21,7 @@ from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar, shortcut
 from planners.any_angle.optimum import AnyAngleOptimum
 from planners.any_angle.theta_star import search_way
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 PLANE = (("Z2", 8, 1.0), ("Z2", 8, 0.5), ("A2", 6, 0.5), ("A2", 12, 0.5), ("Z2", 8, 0.25), ("A2", 6, 0.25))
 MAPS = ("arena", "den520d", "AR0011SR", "brc202d", "Berlin_0_512", "maze512-8-0", "random512-25-0")

@@ -28,7 +28,7 @@ from planners import NoPath, astar, dijkstra
 from planners.search._shared_kernels import drop_top, gauge, may_move, project, rise
 from planners.search.canonical import _search, canonical
 from planners.search.heuristics import gauge_planes
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 from tests.lattices import CASES
 
 NAMED = (

@@ -18,7 +18,7 @@ from hexmap.io.grids.grid_map import FREE
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import read_scenario
 from planners.any_angle.optimum import AnyAngleOptimum
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 MAPS = ("arena", "brc202d", "Berlin_0_512", "random512-25-0", "maze512-8-0", "AR0011SR", "den520d")
 

@@ -20,7 +20,7 @@ from hexmap.experiments.run_cases import run_cases
 from planners.benchmark.cases import ruler_case
 from planners.benchmark.course import open_course, publishers_roots
 from planners.benchmark.settings import BenchmarkSettings
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 _CHUNK = 100
 

@@ -13,7 +13,8 @@ from hexmap.cli import main
 from hexmap.io.clouds.read_points import read_points
 from hexmap.lattice.lattice import NAMES, Lattice
 from hexmap.paper.quantiser import quantiser_experiment, uniform_on_cells
-from hexmap.paper.rotation import RotationSettings, rotation_experiment
+from hexmap.paper.rotation import rotation_experiment
+from hexmap.paper.rotation_settings import RotationSettings
 from hexmap.paper.verdicts import mean_path_factor, ties
 
 
