@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.errors import FileAccessError, HexmapError
-from hexmap.experiments.case import CaseError, CaseFunction, compute, one_line
+from hexmap.experiments.case import CaseError, CaseFunction, compute, failure, one_line
 
 _MAPPED_BYTES = 1 << 20  # smaller arrays are cheaper to copy to a worker than to map
 
@@ -71,6 +71,8 @@ def compute_from_payload(folder: str, text: str) -> str:
         raise CaseError(f"a worker could not load the experiment: {reason}") from error
     try:
         return compute(function, text, seed, data)
+    except SystemExit as error:
+        raise CaseError(failure(text, error)) from error  # the end of a worker is not that of the run
     except Exception as error:
         if _survives_pickling(error):
             raise

@@ -63,6 +63,8 @@ def fail(case: Case, rng: np.random.Generator, shared: Shared) -> dict[str, Any]
             raise BoundsError("the index 9 does not fit")
         if kind == "exit":
             os._exit(7)
+        if kind == "sys.exit":
+            sys.exit(5)
         if kind == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
         if kind == "result":
@@ -344,6 +346,8 @@ def test_a_worker_that_dies_is_noticed() -> None:
     with pytest.raises(CaseError, match=r'case {"k":3,"kind":"exit"}|case {"k": 3.*') as caught:
         run_cases(fail, [{"k": 1}, {"k": 3, "kind": "exit"}, {"k": 2}], workers=2)
     assert "exit code 7" in str(caught.value)
+    with pytest.raises(CaseError, match=r'^case {"k":3,"kind":"sys.exit"}: SystemExit: 5$'):
+        run_cases(fail, [{"k": 1}, {"k": 3, "kind": "sys.exit"}], workers=2)
     with pytest.raises(CaseError, match=r"killed by signal 9\); if memory ran out, use fewer workers$"):
         run_cases(fail, [{"k": 1}, {"k": 3, "kind": "kill"}, {"k": 60}], workers=2)
 
