@@ -49,7 +49,7 @@ from hexmap.base.errors import ArgumentError
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.canonical_order import canonical_ordering
 from planners.search.heuristics import gauge_planes
-from planners.search.sparse_arrays import blank
+from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
@@ -172,7 +172,7 @@ def _search(graph: LatticeGraph, start: int, goal: int, longest: int, *, either_
 
     world = (graph.free, graph.offsets, graph.swept_starts, graph.swept)
     record = np.int32 if len(graph.moves) <= 30 else np.int64
-    cells = blank(graph.size, [("g", np.float64), ("seen", record), ("waiting", record)])
+    cells = sparse_zeros(graph.size, [("g", np.float64), ("seen", record), ("waiting", record)])
     for most_bits in _LENGTH_BITS:
         bits = 0 if graph.equal_edges else most_bits
         p = _prepare(graph, bits)
@@ -181,7 +181,7 @@ def _search(graph: LatticeGraph, start: int, goal: int, longest: int, *, either_
         if turned:
             start, goal, places = goal, start, places[::-1]
         planes, rises = (p.planes, p.rises) if goal >= 0 else (p.planes[:0], np.ascontiguousarray(p.rises[:, :0]))
-        known = blank(graph.size, np.uint8)
+        known = sparse_zeros(graph.size, np.uint8)
         target = np.ascontiguousarray(places[1], dtype=np.int64)
         cost, *counts = kernels.search(
             world, p.rules, p.lengths, graph.strides, planes, rises, target, start, goal,
