@@ -65,9 +65,7 @@ def _with_room(heap, count, more):
 
 
 @njit(cache=True, nogil=True)
-def _expand_forward(
-    a, d, heap, count, graph, estimates, side, other, meeting, best, scale, slack, at_goal, at_start
-):
+def _expand_forward(a, d, heap, count, graph, estimates, side, other, meeting, best, scale, slack, at_goal, at_start):
     """Try the moves from the cell ``a`` of cost ``d``; see :func:`search_both` for the rest.
 
     Returns:
@@ -107,9 +105,7 @@ def _expand_forward(
 
 
 @njit(cache=True, nogil=True)
-def _expand_backward(
-    a, d, heap, count, graph, estimates, side, other, meeting, best, scale, slack, at_goal, at_start
-):
+def _expand_backward(a, d, heap, count, graph, estimates, side, other, meeting, best, scale, slack, at_goal, at_start):
     """Try the moves that lead to the cell ``a``, ``d`` from a goal; like :func:`_expand_forward`."""
     key, cost, node = heap
     free, offsets, lengths, swept_starts, swept, terrain = graph

@@ -239,7 +239,7 @@ def search(graph, rules, estimates, start, goal, scale, longest, reached_cells):
     """
     # Taken apart once: each use of a tuple of arrays counts references.
     free, offsets, lengths, swept_starts, swept, _ = graph
-    natural, level, _, _, _, _, _, _, _ = rules
+    level = rules.level
     planes, heuristic_steps, target, strides, inverse_strides = estimates
     known, records = reached_cells
     moves = offsets.shape[0]

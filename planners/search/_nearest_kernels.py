@@ -32,9 +32,10 @@ class Window(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _rows_in_ball(window, position, radius, low, wide):
-    """Write first index and number of rows across, per index but the last, into ``low`` and ``wide``; return how many rows.
+    """Write where rows begin and how many there are, by each index but the last, into ``low`` and ``wide``.
 
     The box around the ball, cut to the window: |index_i - position_i| <= row_norms[i] * distance.
+    Returns the number of rows in all.
     """
     first, inner, _, _, _, row_norms = window
     total = np.int64(1)

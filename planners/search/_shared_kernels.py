@@ -145,7 +145,7 @@ def project(cell, targets, planes, strides, out):
 
 @njit(cache=True, nogil=True)
 def gauge(base, heuristic_steps, k):
-    """Return the least gauge over the targets after the move k, from ``base`` (M, F) and the moves' steps (K + 1, F)."""
+    """Return the least gauge over the targets after the move k: ``base`` (M, F), ``heuristic_steps`` (K + 1, F)."""
     least = np.inf
     for m in range(base.shape[0]):
         most = 0.0

@@ -371,5 +371,3 @@ def _replaced(graph: LatticeGraph, start: ArrayLike, goal: ArrayLike) -> NDArray
         if labels[flat[0]] == labels[cells_to_flat(graph, start, "start")[0]]:
             return None
     return nearest_reachable(graph, start, graph.lattice.basis @ np.asarray(goal, dtype=np.float64))
-
-

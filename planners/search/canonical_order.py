@@ -139,9 +139,7 @@ def _best_order(lengths: IntArray, pairs: _Candidates) -> IntArray:
     return best[1].astype(np.int64)
 
 
-def canonical_ordering(
-    moves: IntArray, lengths: IntArray, swept: tuple[tuple[Vector, ...], ...]
-) -> Ordering:
+def canonical_ordering(moves: IntArray, lengths: IntArray, swept: tuple[tuple[Vector, ...], ...]) -> Ordering:
     """Return the ordering of moves (K, n) of integer lengths (K,) and all that follows from it, computed once.
 
     Args:

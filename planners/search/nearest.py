@@ -74,7 +74,5 @@ def nearest_reachable(graph: LatticeGraph, start: ArrayLike, point: ArrayLike) -
         if found >= 0:
             break
         more *= 2.0
-    tied, _ = kernels.nearest_in_ball(
-        labels, labels[source], window, p, u, distance + _SAME * lattice.resolution, True
-    )
+    tied, _ = kernels.nearest_in_ball(labels, labels[source], window, p, u, distance + _SAME * lattice.resolution, True)
     return np.asarray(graph.flat_to_index(np.array([tied]))[0], dtype=np.int32)

@@ -66,9 +66,7 @@ def _onward(
             end = plus(first, second)
             # All that is known to be free where both moves are allowed; the shorter path needs no other cell.
             free = {origin, first, end, *sweeps[k], *(plus(first, s) for s in sweeps[m])}
-            least = min(
-                length(origin, c, free) + (0.0 if c == end else length(c, end, free)) for c in free - {origin}
-            )
+            least = min(length(origin, c, free) + (0.0 if c == end else length(c, end, free)) for c in free - {origin})
             if end != origin and least >= (lengths[k] + lengths[m]) * (1.0 - 1e-9):
                 rows[-1].append(m)
     rows.append(list(range(len(moves))))

@@ -40,7 +40,9 @@ LARGER_G, SMALLER_G, FIRST_IN = 1, -1, 0
 
 
 @njit(cache=True, nogil=True)
-def _plain_astar(free, offsets, swept_starts, swept, strides, planes, heuristic_steps, targets, start, goal, ties, g, closed):  # type: ignore[no-untyped-def]
+def _plain_astar(  # type: ignore[no-untyped-def]
+    free, offsets, swept_starts, swept, strides, planes, heuristic_steps, targets, start, goal, ties, g, closed
+):
     """Search by A* over moves of length 1; of equal f the larger g, the smaller g or the first entry goes first."""
     key = np.empty(1024, np.float64)
     tie = np.empty(1024, np.float64)
@@ -85,8 +87,8 @@ def plain_astar(graph: LatticeGraph, start: np.ndarray, goal: np.ndarray, ties: 
     a, b = graph.index_to_flat(np.array([start, goal]))
     targets = np.ascontiguousarray(goal[None] - graph.low, dtype=np.int64)
     cost, pushes = _plain_astar(
-        graph.free, graph.offsets, graph.swept_starts, graph.swept, graph.strides, planes, heuristic_steps, targets, a, b,
-        ties, np.full(graph.size, np.inf), np.zeros(graph.size, np.uint8),
+        graph.free, graph.offsets, graph.swept_starts, graph.swept, graph.strides, planes, heuristic_steps, targets,
+        a, b, ties, np.full(graph.size, np.inf), np.zeros(graph.size, np.uint8),
     )  # fmt: skip
     return cost, pushes
 
