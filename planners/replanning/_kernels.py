@@ -190,7 +190,7 @@ def compute_shortest_path(graph, metric, tree, queue, count, start, most):
         most: stop after so many expansions; the search can go on from there.
 
     Returns:
-        (queue, count, expansions, pushes).
+        (key, cost, node, count, expansions, pushes), the first three the queue's.
     """
     # Taken apart once: each use of a tuple of arrays counts references.
     free, offsets, lengths, swept_starts, swept, terrain = graph
@@ -238,7 +238,8 @@ def compute_shortest_path(graph, metric, tree, queue, count, start, most):
             rise(key, cost, node, count, reached + gauge(base, steps, k) + km, reached, b)
             count += 1
             pushes += 1
-    return Queue(key, cost, node), count, expansions, pushes
+    # Not a Queue: Python is slow to make a named tuple of what a kernel returns.
+    return key, cost, node, count, expansions, pushes
 
 
 @njit(cache=True, nogil=True)
@@ -269,7 +270,7 @@ def enclosed(graph, start, goal, most):
 
 
 @njit(cache=True, nogil=True)
-def _least(a, graph, metric, tree):
+def _least(a, graph, scaled, tree):
     """Return the least cost (or -1) that reached neighbours offer the cell ``a``, and the move by which."""
     free, offsets, lengths, swept_starts, swept, terrain = graph
     g, parent_move = tree
@@ -279,7 +280,7 @@ def _least(a, graph, metric, tree):
         before = a - offsets[k]
         if parent_move[before] == 0:
             continue
-        reached = g[before] + cost_of(before, a, k, lengths, metric.scaled, terrain)
+        reached = g[before] + cost_of(before, a, k, lengths, scaled, terrain)
         if (best < 0 or reached < best) and may_move(free, before, k, offsets, swept_starts, swept):
             best = reached
             move = k
@@ -287,7 +288,7 @@ def _least(a, graph, metric, tree):
 
 
 @njit(cache=True, nogil=True)
-def _held(a, graph, metric, tree):
+def _held(a, graph, scaled, tree):
     """Tell whether some neighbour still holds ``g`` of the reached cell ``a``, and make that its parent."""
     free, offsets, lengths, swept_starts, swept, terrain = graph
     g, parent_move = tree
@@ -300,7 +301,7 @@ def _held(a, graph, metric, tree):
         before = a - offsets[k]
         if parent_move[before] == 0 or g[before] >= g[a]:
             continue
-        if g[before] + cost_of(before, a, k, lengths, metric.scaled, terrain) > g[a]:
+        if g[before] + cost_of(before, a, k, lengths, scaled, terrain) > g[a]:
             continue
         if may_move(free, before, k, offsets, swept_starts, swept):
             parent_move[a] = np.uint8((parent_move[a] & OPEN) | (k + 1))
@@ -361,7 +362,7 @@ def _doubt_changed(graph, tree, known, touched, priced):
 
 
 @njit(cache=True, nogil=True)
-def _cut_branches(graph, metric, tree, doubted, doubts, limit):
+def _cut_branches(graph, scaled, tree, doubted, doubts, limit):
     """Cut off the doubted cells whose cost no neighbour holds, and what depends on them; return them and how many.
 
     A cell cut off is not reached any more, and its children are doubted in turn. Where there are more
@@ -373,7 +374,7 @@ def _cut_branches(graph, metric, tree, doubted, doubts, limit):
     while doubts > 0:
         doubts -= 1
         a = doubted[doubts]
-        if parent_move[a] == 0 or _held(a, graph, metric, tree):
+        if parent_move[a] == 0 or _held(a, graph, scaled, tree):
             continue
         if cut == limit:
             return lost, -1
@@ -393,7 +394,7 @@ def _open_cut(graph, metric, tree, queue, count, start, lost, cut, base):
     offer = np.empty(cut, np.int64)
     by = np.empty(cut, np.uint8)
     for i in range(cut):
-        offer[i], by[i] = _least(lost[i], graph, metric, tree)
+        offer[i], by[i] = _least(lost[i], graph, metric.scaled, tree)
     queue = _with_room(queue, count, cut)
     for i in range(cut):
         if offer[i] >= 0:
@@ -405,7 +406,7 @@ def _open_cut(graph, metric, tree, queue, count, start, lost, cut, base):
 @njit(cache=True, nogil=True)
 def _open_improved(c, graph, metric, tree, queue, count, start, base):
     """Let the free cell ``c`` take what its neighbours offer if that is less than it has; return queue and count."""
-    best, k = _least(c, graph, metric, tree)
+    best, k = _least(c, graph, metric.scaled, tree)
     if best >= 0 and (tree.parent_move[c] == 0 or best < tree.g[c]):
         queue = _with_room(queue, count, 1)
         _open(c, best, k + 1, start, metric, tree, queue, count, base)
@@ -478,13 +479,13 @@ def repair(graph, metric, tree, queue, count, start, known, touched, priced, lim
         limit: when more cells are cut off it gives up, and all must be planned anew.
 
     Returns:
-        (queue, count, cells cut off or -1, pushes).
+        (key, cost, node, count, cells cut off or -1, pushes), the first three the queue's.
     """
     # From here on ``g`` of every cell that is reached must be held by its parent again.
     doubted, doubts = _doubt_changed(graph, tree, known, touched, priced)
-    lost, cut = _cut_branches(graph, metric, tree, doubted, doubts, limit)
+    lost, cut = _cut_branches(graph, metric.scaled, tree, doubted, doubts, limit)
     if cut < 0:
-        return queue, count, cut, 0
+        return queue.key, queue.cost, queue.node, count, cut, 0
     # It is; now every cell that offers a neighbour less than it has must be open.
     before = count
     base = np.empty(metric.planes.shape[0], np.int64)
@@ -493,7 +494,7 @@ def repair(graph, metric, tree, queue, count, start, known, touched, priced, lim
     queue, count = _open_priced(graph, metric, tree, queue, count, start, priced, base)
     for i in range(touched.shape[0]):
         known[touched[i]] = graph.free[touched[i]]
-    return queue, count, cut, count - before
+    return queue.key, queue.cost, queue.node, count, cut, count - before
 
 
 # ---------------------------------------------------------------------- paths

@@ -19,7 +19,7 @@ from planners.replanning.whole_costs import whole_costs
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
-    from planners.replanning._kernels import Metric, Start
+    from planners.replanning._kernels import Metric, Start, Tree
     from planners.search._shared_kernels import GraphArrays
 
 __all__ = ["DStarLite"]
@@ -32,7 +32,8 @@ _FIRST_QUEUE = 1024  # entries that fit at first
 class DStarLite:
     """The search tree from a goal to a start, on states and terrain that its owner changes.
 
-    The owner calls :meth:`initialize` first and after everything that :meth:`repair` is not told of;
+    The owner calls :meth:`initialize` first and after everything that :meth:`repair` is not told of,
+    :meth:`measure` among it;
     then :meth:`move_start` and :meth:`repair` in any order, and :meth:`compute_shortest_path` until :meth:`is_final`.
 
     Attributes:
@@ -47,9 +48,9 @@ class DStarLite:
         self.free = free
         self.terrain = terrain
         self.goal = goal
-        self.start = goal
         self._graph = graph
         self._shape = tuple(int(s) for s in graph.shape)
+        self._set_start(goal)
         self._known = np.zeros(0, np.uint8)
         self._g, self._parent_move = np.empty(graph.size, np.int64), np.zeros(graph.size, np.uint8)
         self._queue = tuple(np.empty(_FIRST_QUEUE, np.int64) for _ in range(3))
@@ -70,13 +71,18 @@ class DStarLite:
         """Tell whether multipliers of cost lie in the range that the unit of cost was fixed for."""
         return bool(values.min() >= self._least and values.max() <= self._most)
 
+    def _set_start(self, start: int) -> None:
+        self.start = start
+        self._position = self.position(start)
+
     # ------------------------------------------------------------------ the procedures
 
     def initialize(self, start: int) -> int:
         """Forget the tree but for the goal, which is open; returns the entries made (Initialize)."""
         from planners.replanning import _kernels as kernels
 
-        self.start = start
+        self._hand_over()
+        self._set_start(start)
         self._known = self.free.copy()
         self._parent_move.fill(0)
         self._parent_move[self.goal] = kernels.OPEN | kernels.ROOT
@@ -93,14 +99,14 @@ class DStarLite:
         from planners.replanning import _kernels as kernels
 
         self._just_initialized = False
-        self._km += self.estimate(self.start, start)
-        self.start = start
+        if start != self.start:
+            self._km += self.estimate(self.start, start)
+            self._set_start(start)
         full = self._count > _QUEUE_FACTOR * self._count_anew + _QUEUE_SLACK
         if self._km > _MOST_KM or full:
             self._km = 0
-            tree = kernels.Tree(self._g, self._parent_move)
             queue = kernels.Queue(*self._queue)
-            self._count = kernels.rekey(queue, self._count, self._start(), self._metric(), tree)
+            self._count = kernels.rekey(queue, self._count, self._start(), self._metric, self._tree)
             self._count_anew = self._count
 
     def repair(self, touched: IntArray, priced: IntArray, limit: int) -> tuple[int, int] | None:
@@ -116,10 +122,10 @@ class DStarLite:
         """
         from planners.replanning import _kernels as kernels
 
-        queue, self._count, cut, pushes = kernels.repair(
-            self._arrays(),
-            self._metric(),
-            kernels.Tree(self._g, self._parent_move),
+        *queue, self._count, cut, pushes = kernels.repair(
+            self._arrays,
+            self._metric,
+            self._tree,
             kernels.Queue(*self._queue),
             self._count,
             self._start(),
@@ -139,10 +145,10 @@ class DStarLite:
         """
         from planners.replanning import _kernels as kernels
 
-        queue, self._count, expansions, pushes = kernels.compute_shortest_path(
-            self._arrays(),
-            self._metric(),
-            kernels.Tree(self._g, self._parent_move),
+        *queue, self._count, expansions, pushes = kernels.compute_shortest_path(
+            self._arrays,
+            self._metric,
+            self._tree,
             kernels.Queue(*self._queue),
             self._count,
             self._start(),
@@ -175,13 +181,13 @@ class DStarLite:
         """Tell whether moves lead from the start to at most ``most`` cells, and not to the goal."""
         from planners.replanning import _kernels as kernels
 
-        return kernels.enclosed(self._arrays(), self.start, self.goal, most)
+        return kernels.enclosed(self._arrays, self.start, self.goal, most)
 
     def is_allowed(self, route: IntArray) -> bool:
         """Tell whether a path of flat cells (M,), of which the first is free, is allowed as things are now."""
         from planners.replanning import _kernels as kernels
 
-        return kernels.is_allowed(route, self._arrays())
+        return kernels.is_allowed(route, self._arrays)
 
     def differing(self, cells: IntArray) -> IntArray:
         """Return those of the flat cells whose state is another than the tree stands for."""
@@ -199,20 +205,19 @@ class DStarLite:
 
     # ------------------------------------------------------------------ as the kernels take it
 
-    def _arrays(self) -> GraphArrays:
-        from planners.search import _shared_kernels as kernels
-
-        graph = self._graph
-        return kernels.GraphArrays(
-            self.free, graph.offsets, self._costs.lengths, graph.swept_starts, graph.swept, self.terrain
-        )
-
-    def _metric(self) -> Metric:
+    def _hand_over(self) -> None:
+        """Put together what does not change until the tree is initialized again."""
         from planners.replanning import _kernels as kernels
+        from planners.search import _shared_kernels
 
-        return kernels.Metric(self._costs.scaled, self._costs.planes, self._costs.steps, self._graph.strides)
+        graph, costs = self._graph, self._costs
+        self._arrays: GraphArrays = _shared_kernels.GraphArrays(
+            self.free, graph.offsets, costs.lengths, graph.swept_starts, graph.swept, self.terrain
+        )
+        self._metric: Metric = kernels.Metric(costs.scaled, costs.planes, costs.steps, graph.strides)
+        self._tree: Tree = kernels.Tree(self._g, self._parent_move)
 
     def _start(self) -> Start:
         from planners.replanning import _kernels as kernels
 
-        return kernels.Start(self.start, self.position(self.start), self._km)
+        return kernels.Start(self.start, self._position, self._km)

@@ -1,4 +1,4 @@
-"""Numba kernels of the canonical search, over the arrays of :class:`planners.search._shared_kernels.GraphArrays`.
+"""Numba kernels of the canonical search, over arrays like those of the other searches but without terrain.
 
 Directions are sets of bits; the bit K marks the start, which every move may follow. What an
 alternative sweeps is looked at only once its middle is known to be free, so that no index leaves the array.
@@ -20,14 +20,21 @@ CLEARLY_LESS = 1.0 - 1e-13  # times a cost: an improvement by less is a rounding
 _MOST = 2.0**50  # sums up to this are exact in float64, eighths for breaking ties included
 
 
-class Rules(NamedTuple):
-    """A :class:`planners.search.canonical_order.Ordering` without its order, its cells as flat offsets.
+class Passable(NamedTuple):
+    """What says whether a move is allowed: four of GraphArrays, for the fewer arrays a call takes the quicker it is."""
 
-    All int64; guards and cells lie around the middle of a pair.
+    free: np.ndarray
+    offsets: np.ndarray
+    swept_starts: np.ndarray
+    swept: np.ndarray
+
+
+class Pairs(NamedTuple):
+    """The pairs of moves that can be forced, all int64: see :class:`planners.search.canonical_order.Ordering`.
+
+    Guards and cells are flat offsets from the middle of a pair.
     """
 
-    natural: np.ndarray
-    level: np.ndarray
     guard_starts: np.ndarray
     guards: np.ndarray
     pair_starts: np.ndarray
@@ -35,6 +42,20 @@ class Rules(NamedTuple):
     alternative_starts: np.ndarray
     cell_starts: np.ndarray
     cells: np.ndarray
+
+
+class Rules(NamedTuple):
+    """An :class:`planners.search.canonical_order.Ordering` as the kernels take it.
+
+    Attributes:
+        natural: (K + 1,) int64.
+        level: (K,) int64.
+        pairs: Pairs.
+    """
+
+    natural: np.ndarray
+    level: np.ndarray
+    pairs: Pairs
 
 
 class Estimates(NamedTuple):
@@ -81,10 +102,10 @@ def _is_guarded(free, at, d, guard_starts, guards):
 
 
 @njit(cache=True, nogil=True)
-def _forced(graph, at, d, rules, known, any_will_do):
+def _forced(passable, at, d, pairs, known, any_will_do):
     """Return the bits of the moves that are forced after ``d`` over the cell ``at``, without those ``known``."""
-    free, offsets, _, swept_starts, swept, _ = graph
-    _, _, _, _, pair_starts, seconds, alternative_starts, cell_starts, cells = rules
+    free, offsets, swept_starts, swept = passable
+    _, _, pair_starts, seconds, alternative_starts, cell_starts, cells = pairs
     found = np.int64(0)
     for i in range(pair_starts[d], pair_starts[d + 1]):
         e = seconds[i]
@@ -109,43 +130,15 @@ def _forced(graph, at, d, rules, known, any_will_do):
 
 
 @njit(cache=True, nogil=True)
-def _following(graph, rules, a, arrivals):
-    """Return the bits of the moves to try from the cell ``a``, reached by the moves whose bits ``arrivals`` has."""
-    moves = graph.offsets.shape[0]
-    following = np.int64(0)
-    for k in range(moves + 1):
-        if (arrivals >> k) & 1:
-            following |= rules.natural[k]
-    for k in range(moves):
-        if (arrivals >> k) & 1 and not _is_guarded(graph.free, a, k, rules.guard_starts, rules.guards):
-            following |= _forced(graph, a, k, rules, following, False)
-    return following
-
-
-@njit(cache=True, nogil=True)
-def _adds_nothing(graph, rules, b, e, seen):
-    """Tell whether no move can follow ``e`` over the cell ``b`` that does not follow the moves ``seen`` there."""
-    covered = np.int64(0)
-    for k in range(graph.offsets.shape[0]):
-        if (seen >> k) & 1:
-            covered |= rules.natural[k]
-    if rules.natural[e] & ~covered != 0:
-        return False
-    if _is_guarded(graph.free, b, e, rules.guard_starts, rules.guards):
-        return True
-    return _forced(graph, b, e, rules, covered, True) == 0
-
-
-@njit(cache=True, nogil=True)
-def _line(graph, at, d, goal, rules, longest):
+def _line(passable, at, d, goal, pairs, longest):
     """Return how many steps along ``d`` the next jump point is, or 0; and the steps looked at.
 
     For moves that they themselves alone follow naturally: a jump point is the goal, or where a move
     is forced. A line that is ``longest`` steps long ends there all the same.
     """
     # Taken apart once: each use of a tuple of arrays counts references.
-    free, offsets, _, swept_starts, swept, _ = graph
-    _, _, guard_starts, guards, _, _, _, _, _ = rules
+    free, offsets, swept_starts, swept = passable
+    guard_starts, guards, _, _, _, _, _ = pairs
     step = offsets[d]
     swept_from = swept_starts[d]
     swept_to = swept_starts[d + 1]
@@ -169,7 +162,7 @@ def _line(graph, at, d, goal, rules, longest):
             if free[at + guards[i]] == 0:
                 clear = False
                 break
-        if not clear and _forced(graph, at, d, rules, np.int64(0), True) != 0:
+        if not clear and _forced(passable, at, d, pairs, np.int64(0), True) != 0:
             return n, n
     return 0, n
 
@@ -221,11 +214,12 @@ def _keep_better(key, cost, node, count, best, records, estimates, base):
 
 
 @njit(cache=True, nogil=True)
-def search(graph, rules, estimates, start, goal, scale, longest, reached_cells):
+def search(passable, lengths, rules, estimates, start, goal, scale, longest, reached_cells):
     """Search from ``start`` to ``goal`` by A* over canonical moves, along lines to the next jump point.
 
     Args:
-        graph: GraphArrays, its lengths (K,) integers in float64, its terrain empty.
+        passable: Passable.
+        lengths: (K,) of the moves, integers in float64.
         rules: Rules.
         estimates: Estimates.
         start: flat cell.
@@ -238,8 +232,9 @@ def search(graph, rules, estimates, start, goal, scale, longest, reached_cells):
         (cost or infinity or OVERFLOW, expansions, pushes, scanned, edges tried).
     """
     # Taken apart once: each use of a tuple of arrays counts references.
-    free, offsets, lengths, swept_starts, swept, _ = graph
-    level = rules.level
+    free, offsets, swept_starts, swept = passable
+    natural, level, pairs = rules
+    guard_starts, guards, _, _, _, _, _ = pairs
     planes, heuristic_steps, target, strides, inverse_strides = estimates
     known, records = reached_cells
     moves = offsets.shape[0]
@@ -287,7 +282,14 @@ def search(graph, rules, estimates, start, goal, scale, longest, reached_cells):
             key = np.append(key, np.empty_like(key))
             cost = np.append(cost, np.empty_like(cost))
             node = np.append(node, np.empty_like(node))
-        following = _following(graph, rules, a, arrivals)
+        # What may follow these arrivals, naturally or forced. Not a function: its call would cost a third of the time.
+        following = np.int64(0)
+        for k in range(moves + 1):
+            if (arrivals >> k) & 1:
+                following |= natural[k]
+        for k in range(moves):
+            if (arrivals >> k) & 1 and not _is_guarded(free, a, k, guard_starts, guards):
+                following |= _forced(passable, a, k, pairs, following, False)
         for e in range(moves):
             if (following >> e) & 1 == 0:
                 continue
@@ -307,7 +309,7 @@ def search(graph, rules, estimates, start, goal, scale, longest, reached_cells):
                 if not may_move(free, a, e, offsets, swept_starts, swept):
                     continue
             else:
-                steps, looked = _line(graph, a, e, goal, rules, longest)
+                steps, looked = _line(passable, a, e, goal, pairs, longest)
                 scanned += looked
                 if steps == 0:
                     continue
@@ -327,7 +329,13 @@ def search(graph, rules, estimates, start, goal, scale, longest, reached_cells):
                 if waiting != 0:
                     to["waiting"] = waiting | (one << e)
                     continue  # it stands in the queue at this cost
-                if _adds_nothing(graph, rules, b, e, seen):
+                covered = np.int64(0)
+                for k in range(moves):
+                    if (seen >> k) & 1:
+                        covered |= natural[k]
+                if natural[e] & ~covered == 0 and (
+                    _is_guarded(free, b, e, guard_starts, guards) or _forced(passable, b, e, pairs, covered, True) == 0
+                ):
                     continue
                 to["waiting"] = one << e
             else:

@@ -184,8 +184,8 @@ def search_flat(graph: LatticeGraph, start: int, goal: int, *, jump: bool = True
     Starts and goals are not checked: :func:`canonical` does.
     """
     from planners.search import _canonical_kernels as kernels
-    from planners.search import _shared_kernels
 
+    passable = kernels.Passable(graph.free, graph.offsets, graph.swept_starts, graph.swept)
     record = np.int32 if len(graph.moves) <= 30 else np.int64
     records = sparse_zeros(graph.size, [("g", np.float64), ("seen", record), ("waiting", record)])
     positions = graph.flat_to_index(np.array([start, max(goal, 0)])) - graph.low
@@ -198,7 +198,8 @@ def search_flat(graph: LatticeGraph, start: int, goal: int, *, jump: bool = True
         first, last, target = (goal, start, positions[0]) if reverse else (start, goal, positions[1])
         reached = kernels.Reached(sparse_zeros(graph.size, np.uint8), records)
         cost, *counts = kernels.search(
-            _shared_kernels.graph_arrays(graph, prepared.lengths),
+            passable,
+            prepared.lengths,
             prepared.rules,
             _estimates(graph, prepared, target, goal >= 0),
             first,
@@ -253,16 +254,20 @@ def _prepared(
     planes = gauge_planes(v, lengths)
     heuristic_steps = np.zeros((len(v) + 1, len(planes)))
     heuristic_steps[:-1] = v @ planes.T
-    tables = (
-        ordering.natural,
-        np.minimum(ordering.level, _HIGHEST),
-        ordering.guard_starts,
-        ordering.guards @ strides,
-        ordering.pair_starts,
-        ordering.seconds,
-        ordering.alternative_starts,
-        ordering.cell_starts,
-        ordering.cells @ strides,
+    # Copies: read-only arrays would compile the kernels a second time.
+    natural, level, *tables = (
+        np.array(table, dtype=np.int64)
+        for table in (
+            ordering.natural,
+            np.minimum(ordering.level, _HIGHEST),
+            ordering.guard_starts,
+            ordering.guards @ strides,
+            ordering.pair_starts,
+            ordering.seconds,
+            ordering.alternative_starts,
+            ordering.cell_starts,
+            ordering.cells @ strides,
+        )
     )
     straight = all(int(ordering.natural[k]) >> k & 1 for k in range(len(v)))
     lines = straight and (n == 3 or int(ordering.level.max()) <= _MOST_LEVEL_IN_PLANE)
@@ -273,8 +278,7 @@ def _prepared(
         lengths,
         np.array(planes),
         heuristic_steps,
-        # Copies: read-only arrays would compile the kernels a second time.
-        kernels.Rules(*(np.array(table, dtype=np.int64) for table in tables)),
+        kernels.Rules(natural, level, kernels.Pairs(*tables)),
         _LONGEST if lines else 1,
         (v @ B.T / metre_lengths[:, None]) @ B,
         ordering.level > ordering.level[opposite],
