@@ -481,6 +481,10 @@ class LatticeGraph:
             self._labels = labels
         return self._labels
 
+    def known_labels(self) -> NDArray[np.int32] | None:
+        """Return what :meth:`components` returns if it has been computed already, else None; nothing is computed."""
+        return self._labels
+
     def connected(self, a: ArrayLike, b: ArrayLike) -> bool:
         """Tell whether moves lead from the cell ``a`` (n,) to ``b`` (n,); never where one of them is not free."""
         at, to = self._flat_of(a), self._flat_of(b)

@@ -15,7 +15,7 @@ from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
 from planners.path import Path, _not_connected, cells_to_flat, make_path, measure
-from planners.search.sparse_arrays import blank
+from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
@@ -199,7 +199,7 @@ def any_angle(
     begin = time.perf_counter()
     if source[0] == target[0]:
         return make_path(graph, source, clearance=clearance, seconds=time.perf_counter() - begin)
-    labels = getattr(graph, "_labels", None)
+    labels = graph.known_labels()
     if labels is not None and labels[source[0]] != labels[target[0]]:
         raise _not_connected(start, goal)
     way, counts = search_way(graph, int(source[0]), int(target[0]), lazy=lazy, tighten=tighten)
@@ -230,8 +230,8 @@ def search_way(
     view = make_view(graph)
     counts = np.zeros(4, np.int64)
     # Pages that a short search does not touch cost nothing.
-    g, parent = blank(graph.size, np.float64), blank(graph.size, np.int32)
-    mark = blank(graph.size, np.uint8)
+    g, parent = sparse_zeros(graph.size, np.float64), sparse_zeros(graph.size, np.int32)
+    mark = sparse_zeros(graph.size, np.uint8)
     steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
     scale = _KEY_STEPS / float(graph.lengths.min())
     found = kernels.search(

@@ -177,8 +177,8 @@ def test_the_canonical_path_has_only_natural_and_forced_pairs(lattice: Lattice, 
                 continue
             pairs = range(ordering.pair_starts[d], ordering.pair_starts[d + 1])
             (pair,) = (i for i in pairs if ordering.seconds[i] == e)
-            for way in range(ordering.way_starts[pair], ordering.way_starts[pair + 1]):
-                needed = cells[ordering.cell_starts[way] : ordering.cell_starts[way + 1]]
+            for alternative in range(ordering.alternative_starts[pair], ordering.alternative_starts[pair + 1]):
+                needed = cells[ordering.cell_starts[alternative] : ordering.cell_starts[alternative + 1]]
                 assert not graph.free[at + needed].all()
             own = at + guards[ordering.guard_starts[d] : ordering.guard_starts[d + 1]]
             # Beyond the window lies nothing that is free.

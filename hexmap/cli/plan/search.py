@@ -74,11 +74,10 @@ def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) 
 def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
     """Return the kernels whose compilation the search would wait for longest."""
     from planners.any_angle import _kernels as _anyangle_kernels
-    from planners.search import _astar_kernels as _search_kernels
-    from planners.search import _canonical_kernels
+    from planners.search import _astar_kernels, _bidirectional_kernels, _canonical_kernels
     from planners.search import _dijkstra_kernels as _field_kernels
 
-    heuristic = _search_kernels.search_both if query.bidirectional else _search_kernels.advance
+    heuristic = _bidirectional_kernels.search_both if query.bidirectional else _astar_kernels.run_astar
     alike = graph.equal_edges and graph.terrain is None and len(graph.swept) == 0
     own = {
         Planner.astar: heuristic,
