@@ -179,7 +179,7 @@ def _share_at_unknown(way: Way, ground: Ground, radius: float) -> float:
     """
     import numpy as np
 
-    from hexmap.maps.state_rule import UNKNOWN
+    from hexmap.maps.cell_state import CellState
 
     lattice = ground.graph.lattice
     n = lattice.dim
@@ -199,7 +199,7 @@ def _share_at_unknown(way: Way, ground: Ground, radius: float) -> float:
     for k in range(0, len(line), 256):
         part = line[k : k + 256]
         states = ground.state_at((part[:, None] + disc).reshape(-1, n))
-        met += int((states.reshape(len(part), -1) == UNKNOWN).any(axis=1).sum())
+        met += int((states.reshape(len(part), -1) == CellState.UNKNOWN).any(axis=1).sum())
     return met / len(line)
 
 

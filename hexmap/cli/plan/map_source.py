@@ -44,7 +44,7 @@ class Ground:
     Attributes:
         path: the file.
         graph: its cells, before any radius.
-        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (of hexmap.maps).
+        state_at: returns the :class:`~hexmap.maps.CellState` (N,) of points (N, n), metres.
         low, high: corners of what is known, metres.
         source: what to say of the file's own cells.
         has_unknown: whether any cell is unknown.
@@ -93,7 +93,6 @@ def foreign_ground(
     from hexmap.base.errors import ArgumentError
     from hexmap.io import grids
     from hexmap.lattice.lattice import Lattice, default_name
-    from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
 
     try:
         world = grids.open_grid(path, cell=cell)
@@ -108,14 +107,8 @@ def foreign_ground(
     low, high = np.asarray(world.low), np.asarray(world.high)
     _check_size(path, on, low, high)
     graph = world.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
-    codes = np.zeros(3, np.uint8)
-    codes[[grids.BLOCKED, grids.FREE, grids.UNKNOWN]] = OCCUPIED, FREE, UNKNOWN
-
-    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        return codes[world.state_at(points)]
-
     source = f" on cells of {world.cell:g} m"
-    return Ground(path, graph, state_at, low, high, source, world.has_unknown, world.y_down)
+    return Ground(path, graph, world.state_at, low, high, source, world.has_unknown, world.y_down)
 
 
 def _check_places(path: Path, query: Query, dim: int) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import BLOCKED, FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["parse"]
 
@@ -21,7 +22,7 @@ _BAD = 255
 
 
 def parse(path: Path, data: bytes, cell: float) -> GridMap:
-    """Make a world of the text of a ``.map`` file; ``.`` ``G`` ``S`` are free, ``@`` ``O`` ``T`` ``W`` blocked.
+    """Make a grid of the text of a ``.map`` file; ``.`` ``G`` ``S`` are free, ``@`` ``O`` ``T`` ``W`` occupied.
 
     Cell (x, y) is column x of row y, the top row is 0, and its centre lies at (x, y) times ``cell`` metres.
 
@@ -59,8 +60,8 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
         if len(row) != width:
             raise FormatError(f"{path}, line {5 + k}: row {k} has {len(row)} characters, the width is {width}")
     table = np.full(256, _BAD, np.uint8)
-    table[list(_PASSABLE)] = FREE
-    table[list(_BLOCKED)] = BLOCKED
+    table[list(_PASSABLE)] = CellState.FREE
+    table[list(_BLOCKED)] = CellState.OCCUPIED
     states = table[np.frombuffer(b"".join(rows), np.uint8).reshape(height, width)]
     if int(states.max()) == _BAD:
         y, x = (int(v) for v in np.argwhere(states == _BAD)[0])

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import BLOCKED, FREE, UNKNOWN, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["MAGIC", "parse"]
 
@@ -23,7 +24,7 @@ _CENTRE = 32768  # key of the voxel whose low corner is at 0
 
 
 def parse(path: Path, data: bytes) -> GridMap:
-    """Make a world of the bytes of a ``.bt`` file: the box of all known voxels, dense, at the finest depth.
+    """Make a grid of the bytes of a ``.bt`` file: the box of all known voxels, dense, at the finest depth.
 
     The voxel of key k is ``(k - 32768) res`` to ``(k - 32767) res`` metres along each axis. Pruned
     leaves fill the block that they stand for.
@@ -40,9 +41,11 @@ def parse(path: Path, data: bytes) -> GridMap:
     counts = np.zeros(3, np.int64)
     low, high = np.full(3, 2**kernels.DEPTH, np.int64), np.zeros(3, np.int64)
     none = np.zeros(3, np.int64)
+    # Plain integers: the kernel would compile again for an enumeration.
+    occupied, free = int(CellState.OCCUPIED), int(CellState.FREE)
 
     def walk(fill: bool, first: np.ndarray, shape: np.ndarray, states: np.ndarray) -> int:
-        return int(kernels.walk(tree, begin, low, high, counts, fill, first, shape, BLOCKED, FREE, states))
+        return int(kernels.walk(tree, begin, low, high, counts, fill, first, shape, occupied, free, states))
 
     end = walk(False, none, none, np.empty(0, np.uint8)) if size else begin
     if end == -1:
@@ -57,7 +60,7 @@ def parse(path: Path, data: bytes) -> GridMap:
         raise FormatError(f"{path}: the map is empty: no voxel of it is known")
     shape = high - low
     check_size(path, tuple(int(s) for s in shape))
-    states = np.full(tuple(int(s) for s in shape), UNKNOWN, np.uint8)
+    states = np.full(tuple(int(s) for s in shape), CellState.UNKNOWN, np.uint8)
     walk(True, low, shape, states.reshape(-1))
     states.setflags(write=False)
     origin = np.asarray((low - _CENTRE) * resolution)

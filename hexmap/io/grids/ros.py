@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import FileAccessError, FormatError
-from hexmap.io.grids.grid_map import BLOCKED, FREE, UNKNOWN, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.read_bytes import check_size, read_bytes, shown
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["image_of", "parse"]
 
@@ -226,9 +227,9 @@ def _classes(grey: NDArray[np.float64], mode: str, negate: bool, occupied: float
         p, known = percent / 100.0, percent <= 100.0
     else:
         p, known = (255.0 - grey) / 255.0, np.ones(grey.shape, np.bool_)
-    out = np.full(grey.shape, UNKNOWN, np.uint8)
-    out[known & (p < free)] = FREE
-    out[known & (p > occupied)] = BLOCKED
+    out = np.full(grey.shape, CellState.UNKNOWN, np.uint8)
+    out[known & (p < free)] = CellState.FREE
+    out[known & (p > occupied)] = CellState.OCCUPIED
     return out
 
 

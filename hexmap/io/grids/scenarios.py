@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.read_bytes import read_bytes, shown, whole
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["Scenario", "read_scenario"]
 
@@ -81,7 +82,7 @@ class Scenario:
         for what, cells in (("start", self.starts), ("goal", self.goals)):
             inside = np.asarray((cells < np.array(shape)).all(axis=1))
             fits: NDArray[np.bool_] = inside.copy()
-            fits[inside] = world.states[tuple(cells[inside].T)] == FREE
+            fits[inside] = world.states[tuple(cells[inside].T)] == CellState.FREE
             if not fits.all():
                 row = int(np.argmin(fits))
                 why = f"free in {named}" if inside[row] else f"in {named} of {size}"

@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import BLOCKED, FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["parse"]
 
 
 def parse(path: Path, data: bytes, cell: float) -> GridMap:
-    """Make a world of the text of a ``.3dmap`` file: all voxels are free but those that it lists.
+    """Make a grid of the text of a ``.3dmap`` file: all voxels are free but those that it lists.
 
     The centre of the voxel (x, y, z) lies at (x, y, z) times ``cell`` metres.
 
@@ -37,10 +38,10 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
     if 0 in shape:
         raise FormatError(f"{path}, line 1: the map is empty: {' x '.join(map(str, shape))} voxels")
     check_size(path, shape)
-    states = np.full(shape, FREE, np.uint8)
+    states = np.full(shape, CellState.FREE, np.uint8)
     text = np.frombuffer(data, np.uint8)
     begin = min(len(head) + 1, len(data))
-    wrong = kernels.read_voxels(text, begin, np.array(shape, np.int64), BLOCKED, states.reshape(-1))
+    wrong = kernels.read_voxels(text, begin, np.array(shape, np.int64), int(CellState.OCCUPIED), states.reshape(-1))
     if wrong >= 0:
         line = data[wrong : wrong + 4096].partition(b"\n")[0]
         number = data.count(b"\n", 0, wrong) + 1

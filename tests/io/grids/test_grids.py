@@ -16,20 +16,21 @@ from hypothesis.extra import numpy as hnp
 
 from hexmap.base.errors import ArgumentError, BoundsError, FileAccessError, FormatError, TooLargeError
 from hexmap.graph.lattice_graph import LatticeGraph
-from hexmap.io.grids import grid_map as _grid
-from hexmap.io.grids.grid_map import BLOCKED, FREE, UNKNOWN, GridMap
+from hexmap.io.grids.grid_map import MAX_CELLS, GridMap
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import read_scenario
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from tests.lattices import CASES, EXAMPLES, JIT, PART, SHEARED, Case
 
+UNKNOWN, FREE, OCCUPIED = CellState
 GRAPH_CASES = [*CASES, *SHEARED]
 # Without the compiler only the smallest of the real maps are read.
 compiled = pytest.mark.skipif(not JIT, reason="takes minutes without the compiler")
 
 
 def random_states(rng: np.random.Generator, shape: tuple[int, ...], unknown: bool = True) -> np.ndarray:
-    return rng.choice(np.array([0, 1, 1, 2 if unknown else 1], np.uint8), shape)
+    return rng.choice(np.array([OCCUPIED, FREE, FREE, UNKNOWN if unknown else FREE], np.uint8), shape)
 
 
 def write(path: Path, data: bytes | str) -> Path:
@@ -47,7 +48,7 @@ def exact_cell(world: GridMap, point: np.ndarray) -> tuple[int, ...]:
 def exact_state(world: GridMap, point: np.ndarray) -> int:
     cell = exact_cell(world, point)
     inside = all(0 <= c < s for c, s in zip(cell, world.states.shape, strict=True))
-    return int(world.states[cell]) if inside else BLOCKED
+    return int(world.states[cell]) if inside else OCCUPIED
 
 
 # ---------------------------------------------------------------------- the value
@@ -68,15 +69,15 @@ def test_states_of_points_are_those_of_the_exact_cell(dim: int) -> None:
 
 
 def test_a_point_on_a_border_is_in_the_higher_cell() -> None:
-    world = GridMap(np.array([[1, 0], [0, 1]], np.uint8), 0.1, [0.0, 0.0])
+    world = GridMap(np.array([[FREE, OCCUPIED], [OCCUPIED, FREE]], np.uint8), 0.1, [0.0, 0.0])
     points = [[0.1, 0.1], [0.3 - 0.2, 0.05], [0.0, 0.0], [0.2, 0.1], [0.1, 0.2], [-1e-13, 0.0], [-1e-9, 0.0]]
-    assert world.state_at(points).tolist() == [1, 0, 1, 0, 0, 1, 0]
+    assert world.state_at(points).tolist() == [FREE, OCCUPIED, FREE, OCCUPIED, OCCUPIED, FREE, OCCUPIED]
 
 
 def test_far_and_not_finite_points_are_blocked() -> None:
     world = GridMap(np.ones((2, 2), np.uint8), 1.0, [0, 0])
     points = np.array([[1, 1], [math.nan, 1], [1, math.inf], [-math.inf, 0], [1e300, 0], [1e18, 1], [-1e18, 1]])
-    assert world.state_at(points).tolist() == [1, 0, 0, 0, 0, 0, 0]
+    assert world.state_at(points).tolist() == [FREE] + [OCCUPIED] * 6
     assert world.free_at(points, unknown="free").tolist() == [True] + [False] * 6
     for bad in points[[1, 2, 3, 4]]:
         with pytest.raises(BoundsError, match="point 1 is not finite or out of range"):
@@ -84,9 +85,9 @@ def test_far_and_not_finite_points_are_blocked() -> None:
 
 
 def test_unknown_cells_are_what_they_are_said_to_be() -> None:
-    world = GridMap(np.array([[0, 1, 2]], np.uint8), 1.0, [0, 0])
+    world = GridMap(np.array([[OCCUPIED, FREE, UNKNOWN]], np.uint8), 1.0, [0, 0])
     points = [[0.5, 0.5], [0.5, 1.5], [0.5, 2.5], [0.5, 3.5]]
-    assert world.state_at(points).tolist() == [BLOCKED, FREE, UNKNOWN, BLOCKED]
+    assert world.state_at(points).tolist() == [OCCUPIED, FREE, UNKNOWN, OCCUPIED]
     assert world.free_at(points).tolist() == [False, True, False, False]
     assert world.free_at(points, unknown="free").tolist() == [False, True, True, False]
     assert world.has_unknown
@@ -145,15 +146,16 @@ def test_a_quarter_turn_permutes_the_centres_to_the_last_cell(quarter: int) -> N
 def test_a_world_is_a_value() -> None:
     states = np.ones((2, 3), np.uint8)
     world = GridMap(states, 1, [0, 0])
-    states[0, 0] = 0
-    assert world.states[0, 0] == 1
+    states[0, 0] = OCCUPIED
+    assert world.states[0, 0] == FREE
     for array in (world.states, world.origin):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
     world.low[0] = 9
     assert world.low[0] == 0
-    fortran = GridMap(np.asfortranarray(np.array([[1, 0], [2, 1]], np.uint8)), 1.0, [0, 0])
-    assert fortran.state_at([[0.5, 1.5], [1.5, 0.5]]).tolist() == [0, 2]
+    states = np.asfortranarray(np.array([[FREE, OCCUPIED], [UNKNOWN, FREE]], np.uint8))
+    fortran = GridMap(states, 1.0, [0, 0])
+    assert fortran.state_at([[0.5, 1.5], [1.5, 0.5]]).tolist() == [OCCUPIED, UNKNOWN]
 
 
 @pytest.mark.parametrize(
@@ -213,7 +215,7 @@ def test_a_graph_is_free_where_the_world_is_free_at_the_centre(case: Case, unkno
     # Clearance: from the blocked cells of the grid alone, not from unknown ones nor from the outside.
     cells = world.cell_of(centres)
     inside = ((cells >= 0) & (cells < np.array(shape))).all(axis=1)
-    blocked = centres[inside & (world.state_at(centres) == BLOCKED)]
+    blocked = centres[inside & (world.state_at(centres) == OCCUPIED)]
     some = flat[rng.integers(0, len(flat), 200)]
     some = some[graph.free[some] != 0]
     slow = np.array([np.sqrt(((blocked - c) ** 2).sum(axis=1)).min() for c in graph.centres(some)])
@@ -282,11 +284,11 @@ def test_square_and_cubic_graphs_are_the_source_grid_index_for_index(
     for neighbourhood in (None, "extended", 8 if len(shape) == 2 else 26):
         graph = world.to_graph(Lattice.named(name, resolution=cell), neighbourhood=neighbourhood)
         assert graph.first.tolist() == [0] * len(shape)
-        assert np.array_equal(graph.inner_states(), states)
+        assert np.array_equal(graph.inner_states(), states == FREE)
     fine = world.to_graph(Lattice.named(name, resolution=cell / 3))
     # A third of a cell: the middle one of three has the source cell's own centre.
     middle = np.stack(np.indices(shape), axis=-1).reshape(-1, len(shape)) * 3
-    assert np.array_equal(fine.free[fine.index_to_flat(middle)], states.ravel())
+    assert np.array_equal(fine.free[fine.index_to_flat(middle)], states.ravel() == FREE)
 
 
 @pytest.mark.parametrize("cell", [1.0, 0.1, 0.37])
@@ -303,12 +305,12 @@ def test_centres_on_the_border_of_the_grid_belong_to_one_side_only(cell: float) 
 
 
 def movingai_text(states: np.ndarray, end: str = "\n") -> str:
-    rows = ["".join(("@" if v == BLOCKED else ".") for v in column) for column in states.T]
+    rows = ["".join(("@" if v == OCCUPIED else ".") for v in column) for column in states.T]
     return end.join(["type octile", f"height {states.shape[1]}", f"width {states.shape[0]}", "map", *rows]) + end
 
 
 def warframe_text(states: np.ndarray, end: str = "\n") -> str:
-    lines = [" ".join(map(str, v)) for v in np.argwhere(states == BLOCKED).tolist()]
+    lines = [" ".join(map(str, v)) for v in np.argwhere(states == OCCUPIED).tolist()]
     return end.join([f"voxel {' '.join(map(str, states.shape))}", *lines]) + end
 
 
@@ -322,7 +324,7 @@ def write_map(folder: Path, states: np.ndarray, suffix: str = "") -> Path:
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(
     hnp.arrays(
-        np.uint8, hnp.array_shapes(min_dims=2, max_dims=3, max_side=9), elements=st.sampled_from([BLOCKED, FREE])
+        np.uint8, hnp.array_shapes(min_dims=2, max_dims=3, max_side=9), elements=st.sampled_from([OCCUPIED, FREE])
     ),
     st.sampled_from(["\n", "\r\n"]),
     st.booleans(),
@@ -344,7 +346,7 @@ def test_grids_come_back_as_they_were_written(
 
 
 def test_the_kind_is_in_the_content_not_in_the_name(tmp_path: Path) -> None:
-    states = np.array([[1, 0], [1, 1]], np.uint8)
+    states = np.array([[FREE, OCCUPIED], [FREE, FREE]], np.uint8)
     for name in ("odd.txt", "odd", "odd.bt", "odd.map"):
         assert np.array_equal(open_grid(write(tmp_path / name, movingai_text(states))).states, states)
     packed = gzip.compress(movingai_text(states).encode())
@@ -353,7 +355,7 @@ def test_the_kind_is_in_the_content_not_in_the_name(tmp_path: Path) -> None:
 
 def test_terrain_of_movingai(tmp_path: Path) -> None:
     path = write(tmp_path / "a.map", "type octile\nwidth 7\nheight 1\nmap\n.GS@OTW")
-    assert open_grid(path).states.ravel().tolist() == [1, 1, 1, 0, 0, 0, 0]
+    assert open_grid(path).states.ravel().tolist() == [FREE] * 3 + [OCCUPIED] * 4
 
 
 HEAD = "type octile\nheight 2\nwidth 3\nmap\n"
@@ -455,17 +457,17 @@ def ros(folder: Path, image: bytes, yaml: str = YAML, name: str = "m.pgm") -> Gr
 
 def test_a_ros_map_has_its_top_row_at_the_largest_y(tmp_path: Path) -> None:
     world = ros(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0]))
-    assert world.states.tolist() == [[1, 0], [1, 1], [0, 2]]
+    assert world.states.tolist() == [[FREE, OCCUPIED], [FREE, FREE], [OCCUPIED, UNKNOWN]]
     assert (world.cell, world.origin.tolist(), world.yaw) == (0.5, [1.0, -2.0], 0.0)
     assert (world.kind, world.y_down) == ("ros", False)
-    assert world.state_at([[1.25, -1.25], [2.25, -1.25], [2.25, -1.75]]).tolist() == [BLOCKED, UNKNOWN, BLOCKED]
+    assert world.state_at([[1.25, -1.25], [2.25, -1.25], [2.25, -1.75]]).tolist() == [OCCUPIED, UNKNOWN, OCCUPIED]
     assert world.low.tolist() == [1.0, -2.0]
     assert world.high.tolist() == [2.5, -1.0]
 
 
 def test_a_turned_ros_map(tmp_path: Path) -> None:
     world = ros(tmp_path, b"P5 3 2 255\n" + bytes([0, 254, 205, 254, 254, 0]), YAML.replace("-2, 0]", "-2, 1.5707963]"))
-    assert world.state_at([[0.25, -1.75]]).tolist() == [BLOCKED]
+    assert world.state_at([[0.25, -1.75]]).tolist() == [OCCUPIED]
     assert np.allclose(world.low, [0.0, -2.0])
     assert np.allclose(world.high, [1.0, -0.5])
 
@@ -495,7 +497,7 @@ def test_every_grey_is_what_map_server_makes_of_it(
                 return UNKNOWN
         else:
             p = (255 - colour) / 255.0
-        return BLOCKED if p > 0.65 else FREE if p < 0.196 else UNKNOWN
+        return OCCUPIED if p > 0.65 else FREE if p < 0.196 else UNKNOWN
 
     assert world.states[:, 0].tolist() == [expected(int(g)) for g in greys]
 
@@ -508,9 +510,9 @@ def test_png_images(tmp_path: Path) -> None:
     imsave(tmp_path / "m.png", colour)
     # matplotlib writes an opaque alpha: map_server counts it in the mode trinary, (3 * 205 + 255) / 4 is free.
     world = open_grid(write(tmp_path / "m.yaml", YAML.replace("m.pgm", "m.png")))
-    assert world.states.tolist() == [[1, 0], [1, 1], [0, 1]]
+    assert world.states.tolist() == [[FREE, OCCUPIED], [FREE, FREE], [OCCUPIED, FREE]]
     world = open_grid(write(tmp_path / "m.yaml", YAML.replace("m.pgm", "m.png") + "mode: scale\n"))
-    assert world.states.tolist() == [[1, 0], [1, 1], [0, 2]]
+    assert world.states.tolist() == [[FREE, OCCUPIED], [FREE, FREE], [OCCUPIED, UNKNOWN]]
     cut = (tmp_path / "m.png").read_bytes()
     for data in (cut[:20], cut[:60]):
         write(tmp_path / "m.png", data)
@@ -534,13 +536,13 @@ def test_png_images(tmp_path: Path) -> None:
 )
 def test_spellings_of_the_yaml_file(tmp_path: Path, yaml: str) -> None:
     world = ros(tmp_path, b"P5 2 1 255\n\x00\xfe", yaml.replace("{folder}", tmp_path.name))
-    assert world.states.tolist() == [[0], [1]]
+    assert world.states.tolist() == [[OCCUPIED], [FREE]]
     assert (world.cell, world.origin.tolist(), world.yaw) == (0.5, [1.0, -2.0], 0.0)
 
 
 def test_names_with_blanks_and_marks(tmp_path: Path) -> None:
     for name, text in (("my map#1.pgm", "my map#1.pgm"), ("it's.pgm", "'it''s.pgm'"), ('a"b.pgm', '"a\\"b.pgm" # "')):
-        assert ros(tmp_path, b"P5 1 1 255\n\xfe", YAML.replace("m.pgm", text), name).states.tolist() == [[1]]
+        assert ros(tmp_path, b"P5 1 1 255\n\xfe", YAML.replace("m.pgm", text), name).states.tolist() == [[FREE]]
 
 
 @pytest.mark.parametrize(
@@ -623,9 +625,9 @@ def test_what_hexmap_exports_comes_back(tmp_path: Path) -> None:
     path, _ = export_ros(map, tmp_path / "x.yaml")
     world = open_grid(path)
     states = map.state()
-    assert (world.state_at(states.occupied.centres()) == BLOCKED).all()
+    assert (world.state_at(states.occupied.centres()) == OCCUPIED).all()
     assert (world.state_at(states.free.centres()) == FREE).all()
-    assert [(world.states == s).sum() for s in (BLOCKED, FREE)] == [len(states.occupied), len(states.free)]
+    assert [(world.states == s).sum() for s in (OCCUPIED, FREE)] == [len(states.occupied), len(states.free)]
 
 
 # ---------------------------------------------------------------------- OctoMap
@@ -660,7 +662,7 @@ def octree(
                 below += node(level + 1, at)
             elif kind:
                 nodes += 1
-                leaves.append((at, side, FREE if kind == 1 else BLOCKED))
+                leaves.append((at, side, FREE if kind == 1 else OCCUPIED))
         bits = sum(kind << (2 * child) for child, kind in enumerate(kinds))
         return bytes([bits & 255, bits >> 8]) + below
 
@@ -767,7 +769,7 @@ def test_a_scenario_is_checked_against_its_map(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="made for a map of 3 x 2 cells, the map given has 2 x 3"):
         scenario.check(GridMap(np.ones((2, 3), np.uint8), 1.0, [0, 0]))
     walls = np.ones((3, 2), np.uint8)
-    walls[2, 1] = 0
+    walls[2, 1] = OCCUPIED
     with pytest.raises(FormatError, match=r"a.scen, line 3: the start \(2, 1\) is not free in the map given"):
         scenario.check(GridMap(walls, 1.0, [0, 0]))
     solid = read_scenario(write(tmp_path / "a.3dscen", SCEN3))
@@ -855,7 +857,7 @@ def test_movingai_maps_and_their_scenarios(data_dir: Path, name: str, shape: tup
     scenario = read_scenario(f"{path}.scen")
     scenario.check(world)
     graph = world.to_graph(Lattice.named("Z2", resolution=1.0), neighbourhood=8)
-    assert np.array_equal(graph.inner_states(), world.states)
+    assert np.array_equal(graph.inner_states(), world.states == FREE)
     assert graph.first.tolist() == [0, 0]
     # The octile distance is a bound of every published length, to the digits published.
     d = np.sort(np.abs(scenario.goals - scenario.starts), axis=1)
@@ -893,8 +895,8 @@ def test_warframe_maps_and_their_scenarios(data_dir: Path, name: str, shape: tup
     assert world.states.shape == shape
     with gzip.open(path, "rt") as handle:
         voxels = np.loadtxt(itertools.islice(handle, 1, None), dtype=np.int64)
-    assert len(np.unique(voxels, axis=0)) == blocked == np.count_nonzero(world.states == BLOCKED)
-    assert (world.states[tuple(voxels.T)] == BLOCKED).all()
+    assert len(np.unique(voxels, axis=0)) == blocked == np.count_nonzero(world.states == OCCUPIED)
+    assert (world.states[tuple(voxels.T)] == OCCUPIED).all()
     scenario = read_scenario(path.with_name(f"{name}.3dmap.3dscen.gz"))
     assert len(scenario) == 10000
     scenario.check(world)
@@ -908,7 +910,7 @@ def test_warframe_maps_and_their_scenarios(data_dir: Path, name: str, shape: tup
 def test_octomaps_of_real_places(data_dir: Path, name: str, edge: float, occupied: int, free: int) -> None:
     world = open_grid(data_dir / "maps" / f"{name}.bt")
     assert world.cell == edge
-    assert [np.count_nonzero(world.states == s) for s in (BLOCKED, FREE)] == [occupied, free]
+    assert [np.count_nonzero(world.states == s) for s in (OCCUPIED, FREE)] == [occupied, free]
     # The box is that of the known voxels.
     for axis in range(3):
         for end in (0, -1):
@@ -923,7 +925,7 @@ def test_ros_maps_of_real_places(data_dir: Path, name: str) -> None:
 
     world = open_grid(data_dir / "maps" / f"{name}.yaml")
     picture = imread(data_dir / "maps" / f"{name}.pgm")[::-1].T
-    for state, grey in ((FREE, 254), (UNKNOWN, 205), (BLOCKED, 0)):
+    for state, grey in ((FREE, 254), (UNKNOWN, 205), (OCCUPIED, 0)):
         assert (world.states[picture == grey] == state).all()
     graph = world.to_graph(Lattice.named("A2", resolution=0.2))
     some = np.flatnonzero(graph.free)[::997]
@@ -939,19 +941,19 @@ def test_ros_maps_of_real_places(data_dir: Path, name: str) -> None:
 
 
 def test_dense_arrays_are_bounded_by_one_number() -> None:
-    assert _grid.MAX_CELLS == 2_000_000_000
+    assert MAX_CELLS == 2_000_000_000
 
 
 # ---------------------------------------------------------------------- clearance to the squares themselves
 
 
 def to_squares(world: GridMap, points: np.ndarray) -> np.ndarray:
-    """The distance of points (N, n) to the nearest of all blocked squares or cubes, turned back, each tried."""
+    """The distance of points (N, n) to the nearest of all occupied squares or cubes, turned back, each tried."""
     c, s = math.cos(world.yaw), math.sin(world.yaw)
     d = points - world.origin
     d[:, :2] = d[:, :2] @ np.array([[c, -s], [s, c]])
     best = np.full(len(points), np.inf)
-    for cell in np.argwhere(world.states == BLOCKED):
+    for cell in np.argwhere(world.states == OCCUPIED):
         nearest = np.clip(d, cell * world.cell, (cell + 1) * world.cell)
         best = np.minimum(best, np.linalg.norm(d - nearest, axis=1))
     return best
@@ -972,7 +974,7 @@ def test_clearance_is_that_to_the_squares_of_the_world(
     shape = (small if scale < 1 else large)[: case.dim]
     states = random_states(rng, shape)
     states[rng.random(shape) < 0.4] = UNKNOWN
-    states[:3, :4] = BLOCKED  # a solid with an inside
+    states[:3, :4] = OCCUPIED  # a solid with an inside
     world = GridMap(states, scale * r, -3.71 * r * np.ones(case.dim), yaw=yaw)
     graph = world.to_graph(lattice, unknown="free")
     flat = graph._inner_flat()
@@ -980,7 +982,7 @@ def test_clearance_is_that_to_the_squares_of_the_world(
     found = graph.clearance("cell")
     some = rng.permutation(len(flat))[: int(1500 * PART)]
     assert np.allclose(found[flat[some]], to_squares(world, x[some]), rtol=1e-9, atol=1e-9 * r)
-    assert (found[flat][world._look_up(x, UNKNOWN) == BLOCKED] == 0.0).all()
+    assert (found[flat][world.state_at(x, outside=UNKNOWN) == OCCUPIED] == 0.0).all()
     assert np.array_equal(graph.clearance_at(flat, "cell"), found[flat])
     free = graph.free[flat] != 0
     for radius in (0.0, *rng.choice(found[flat[free]], 3 if JIT else 1), 0.3 * r, 1.1 * r):
@@ -996,7 +998,7 @@ def test_clearance_is_that_to_the_squares_of_the_world(
 
 def test_distances_to_squares_in_plain_numbers() -> None:
     states = np.ones((9, 9), np.uint8)
-    states[4, 4] = BLOCKED
+    states[4, 4] = OCCUPIED
     world = GridMap(states, 1.0, [-0.5, -0.5])
     graph = world.to_graph(Lattice.named("Z2", resolution=0.5))
     at = graph.index_to_flat([[8, 8], [9, 8], [7, 8], [7, 7], [10, 8], [10, 10], [2, 8]])
@@ -1028,7 +1030,7 @@ def test_a_robot_in_a_published_map_touches_no_square(data_dir: Path, name: str)
     rim = 0.499999 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     some = graph.centres(nodes)[::7]
     inside = ((some > world.low + 1) & (some < world.high - 1)).all(axis=1)
-    assert (world._look_up((some[inside][:, None] + rim).reshape(-1, 2), UNKNOWN) != BLOCKED).all()
+    assert (world.state_at((some[inside][:, None] + rim).reshape(-1, 2), outside=UNKNOWN) != OCCUPIED).all()
     # By centres alone it did.
     near = np.flatnonzero(graph.with_clearance(0.5).free)
     assert (graph.clearance_at(near, "cell") < 0.3).any()
