@@ -94,6 +94,7 @@ def read_cloud(
     from hexmap.base.errors import ArgumentError
     from hexmap.io.clouds.filters import PointFilter
     from hexmap.io.clouds.read_points import read_points
+    from hexmap.io.file_kinds import is_parquet
 
     notes: list[str] = []
     warnings: list[str] = []
@@ -117,15 +118,6 @@ def read_cloud(
     if len(kept) == 0:
         raise ArgumentError(f"{path}: no point is left after the filters ({report})")
     return kept, notes, warnings
-
-
-def is_parquet(path: Path) -> bool:
-    """Tell whether a file begins as Parquet does: then it is a map, or is meant to be one."""
-    try:
-        with path.open("rb") as handle:
-            return handle.read(4) == b"PAR1"
-    except OSError:
-        return False
 
 
 def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
 from hexmap.cli.plan.map_source import Ground, foreign_ground, inputs_of, own_ground
 from hexmap.cli.plan.query import (
@@ -102,6 +101,7 @@ def plan(
     The path leads from cell centre to cell centre, from the cell of --from to that of --to.
     """
     from hexmap.base.errors import ArgumentError
+    from hexmap.io.file_kinds import is_parquet
 
     query = Query(
         start, goal, planner, weight, bidirectional, shortcut, nearest,
@@ -118,7 +118,7 @@ def plan(
         from hexmap.drawing.map_drawing import check_picture
 
         check_picture(picture)
-    own = clouds.is_parquet(world)
+    own = is_parquet(world)
     for wrong, options in (
         (own, {"--lattice": lattice, "--resolution": resolution, "--cell": cell}),
         (not own, {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio}),

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather, shown
+from hexmap.base.text import reason, shown
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
 
 __all__ = ["read_kitti", "read_npy"]
 
@@ -55,9 +56,7 @@ def read_npy(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except Exception as error:
         # numpy parses the header as a Python literal: damage shows as nearly any exception.
-        lines = str(error).strip().splitlines()
-        detail = shown(lines[0], 100) if lines else type(error).__name__
-        raise FormatError(f"{path}: not a sound NPY file of numbers: {detail}") from error
+        raise FormatError(f"{path}: not a sound NPY file of numbers: {reason(error)}") from error
     if not isinstance(array, np.ndarray):
         raise FormatError(f"{path}: not one NPY array but an archive of several; save the points as .npy")
     if array.dtype.names:

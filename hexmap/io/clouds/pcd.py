@@ -9,7 +9,8 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather, integer, plural, shown
+from hexmap.base.text import plural, shown, whole_number
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
 from hexmap.io.clouds.lzf import LzfError, inflate
 
 __all__ = ["read_pcd"]
@@ -56,7 +57,7 @@ class _Header:
             raise self.error(key, f"{key} has {plural(len(tokens), 'value')}, expected {count}")
         values = []
         for token in tokens:
-            value = integer(token)
+            value = whole_number(token)
             if value is None:
                 raise self.error(key, f"{key} {shown(token)!r} is not a whole number")
             values.append(value)

@@ -11,7 +11,8 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather, integer, plural, shown
+from hexmap.base.text import plural, shown, whole_number
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
 
 __all__ = ["read_ply"]
 
@@ -117,7 +118,7 @@ def _read_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int
                 raise FormatError(f"{path}, line {number}: format {shown(tokens[1])!r} is not one of {known}")
             order = _ORDERS[tokens[1]]
         elif tokens[0] == "element" and len(tokens) == 3:
-            count = integer(tokens[2])
+            count = whole_number(tokens[2])
             if count is None:
                 raise FormatError(f"{path}, line {number}: {shown(tokens[2])!r} is not a number of elements")
             elements.append(_Element(tokens[1], count))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.base.errors import ArgumentError, BoundsError
+from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
 
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
     from hexmap.graph.moves import Neighbourhood
 
-__all__ = ["MAX_CELLS", "GridMap"]
+__all__ = ["MAX_BYTES", "MAX_CELLS", "GridMap", "check_size"]
 
 MAX_CELLS = 2_000_000_000  # of a dense array, a byte each
+MAX_BYTES = 4 * 2**30  # of a file, as it is and decompressed
 _FINE = 2.0**32  # parts of a cell that quotients are rounded to
 
 
@@ -299,6 +300,22 @@ class GridMap:
             frame=np.ascontiguousarray(self._turned(np.eye(self.dim))),
             grain=self.cell / _FINE,
             contains=self._occupied_at,
+        )
+
+
+def check_size(where: object, shape: tuple[int, ...]) -> None:
+    """Refuse a dense array that is too large, before it is allocated.
+
+    Raises:
+        TooLargeError: naming the size.
+    """
+    cells = 1
+    for s in shape:
+        cells *= s
+    if cells > MAX_CELLS:
+        raise TooLargeError(
+            f"{where}: {' x '.join(map(str, shape))} cells would take {cells / 2**30:.1f} GiB; "
+            f"at most {MAX_CELLS} are read"
         )
 
 

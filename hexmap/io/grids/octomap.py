@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import GridMap
-from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.base.text import quoted, whole_number
+from hexmap.io.grids.grid_map import GridMap, check_size
 from hexmap.maps.cell_state import CellState
 
 __all__ = ["MAGIC", "parse"]
@@ -81,7 +81,7 @@ def _header(path: Path, data: bytes) -> tuple[int, float, int]:
         line = data[at:end].strip()
         at = end + 1
         if number == 1 and not line.startswith(MAGIC):
-            raise FormatError(f"{path}, line 1: an OctoMap begins with {shown(MAGIC)}, not with {shown(line)}")
+            raise FormatError(f"{path}, line 1: an OctoMap begins with {quoted(MAGIC)}, not with {quoted(line)}")
         if line == b"data":
             break
         if not line or line.startswith(b"#"):
@@ -89,16 +89,16 @@ def _header(path: Path, data: bytes) -> tuple[int, float, int]:
         key, _, value = line.partition(b" ")
         value = value.strip()
         if key == b"id" and value != b"OcTree":
-            raise FormatError(f"{path}, line {number}: only trees of id OcTree are read, not {shown(value)}")
-        if key == b"size" and whole(value) is None:
-            raise FormatError(f"{path}, line {number}: the size must be a number of nodes, not {shown(value)}")
+            raise FormatError(f"{path}, line {number}: only trees of id OcTree are read, not {quoted(value)}")
+        if key == b"size" and whole_number(value) is None:
+            raise FormatError(f"{path}, line {number}: the size must be a number of nodes, not {quoted(value)}")
         if key == b"res" and _edge(value) is None:
-            raise FormatError(f"{path}, line {number}: the resolution must be a positive number, not {shown(value)}")
+            raise FormatError(f"{path}, line {number}: the resolution must be a positive number, not {quoted(value)}")
         found[key] = value
     for key in (b"id", b"size", b"res"):
         if key not in found:
             raise FormatError(f"{path}, line {number}: the header ends without {key.decode()!r}")
-    size, resolution = whole(found[b"size"]), _edge(found[b"res"])
+    size, resolution = whole_number(found[b"size"]), _edge(found[b"res"])
     assert size is not None and resolution is not None
     return size, resolution, at
 

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import FileAccessError, FormatError
-from hexmap.io.grids.grid_map import GridMap
-from hexmap.io.grids.read_bytes import check_size, read_bytes, shown
+from hexmap.base.text import quoted
+from hexmap.io.grids.grid_map import MAX_BYTES, GridMap, check_size
+from hexmap.io.read_file import read_file
 from hexmap.maps.cell_state import CellState
 
 __all__ = ["image_of", "parse"]
@@ -47,7 +48,7 @@ def image_of(path: Path) -> Path:
         FileAccessError: the YAML file cannot be read.
         FormatError: it names no image.
     """
-    return _image(path, _entries(path, read_bytes(path)))
+    return _image(path, _entries(path, read_file(path, MAX_BYTES)))
 
 
 def _image(path: Path, entries: dict[str, _Entry]) -> Path:
@@ -98,7 +99,7 @@ def parse(path: Path, data: bytes) -> GridMap:
         raise FormatError(f"{path}, line {mode_entry.line}: the mode is one of {', '.join(_MODES)}, not {mode!r}")
     image_path = _image(path, entries)
     try:
-        image = read_bytes(image_path)
+        image = read_file(image_path, MAX_BYTES)
     except FileAccessError as error:
         raise FileAccessError(f"{path}, line {entries['image'].line}: the image {error}") from error
     states = _states(image_path, image, mode.lower(), negate, occupied, free)
@@ -132,14 +133,14 @@ def _entries(path: Path, data: bytes) -> dict[str, _Entry]:
             continue
         match = _KEY.match(line)
         if match is None:
-            raise FormatError(f"{where}: not 'key: value': {shown(raw.encode())}")
+            raise FormatError(f"{where}: not 'key: value': {quoted(raw.encode())}")
         last = match[1]
         if last in found:
             raise FormatError(f"{where}: {last!r} stands in line {found[last].line} already")
         value = (match[2] or "").strip()
         if value.startswith("["):
             if not value.endswith("]"):
-                raise FormatError(f"{where}: the list {shown(value.encode())} does not end in this line")
+                raise FormatError(f"{where}: the list {quoted(value.encode())} does not end in this line")
             inside = value[1:-1].strip()
             parts = inside.rstrip(",").split(",") if inside else []
             found[last] = _Entry(number, [_unquoted(where, part.strip()) for part in parts])
@@ -167,7 +168,7 @@ def _unquoted(where: str, value: str) -> str:
     if value[:1] not in ("'", '"'):
         return value
     if len(value) < 2 or value[-1] != value[0]:
-        raise FormatError(f"{where}: the quotes of {shown(value.encode())} do not match")
+        raise FormatError(f"{where}: the quotes of {quoted(value.encode())} do not match")
     inside = value[1:-1]
     if value[0] == "'":
         return inside.replace("''", "'")
@@ -197,7 +198,7 @@ def _origin(path: Path, entry: _Entry) -> list[float]:
 
 
 def _text(entry: _Entry) -> str:
-    return shown((entry.value if isinstance(entry.value, str) else f"[{', '.join(entry.value)}]").encode())
+    return quoted((entry.value if isinstance(entry.value, str) else f"[{', '.join(entry.value)}]").encode())
 
 
 # ---------------------------------------------------------------------- the image
@@ -216,7 +217,7 @@ def _states(path: Path, data: bytes, mode: str, negate: bool, occupied: float, f
         if mode != "trinary" and pixels.shape[2] in (2, 4):
             pixels = pixels[:, :, :-1]
         return _classes(np.asarray(pixels.mean(axis=2)), mode, negate, occupied, free)
-    raise FormatError(f"{path}: the image is neither PGM nor PNG (it begins with {shown(data[:8])})")
+    raise FormatError(f"{path}: the image is neither PGM nor PNG (it begins with {quoted(data[:8])})")
 
 
 def _classes(grey: NDArray[np.float64], mode: str, negate: bool, occupied: float, free: float) -> NDArray[np.uint8]:
@@ -240,7 +241,7 @@ def _pgm(path: Path, data: bytes) -> tuple[NDArray[Any], int]:
     for name in ("width", "height", "maximum"):
         token = _TOKEN.match(data, at)
         if token is None or not re.fullmatch(rb"[0-9]{1,9}", token[1]):
-            found = shown(token[1]) if token else "the end of the file"
+            found = quoted(token[1]) if token else "the end of the file"
             raise FormatError(
                 f"{path}, line {_line(data, at)}: the {name} of the image must be an integer, not {found}"
             )
@@ -270,7 +271,7 @@ def _pgm(path: Path, data: bytes) -> tuple[NDArray[Any], int]:
             raise FormatError(f"{path}: the image has {len(words)} values, and {width} x {height} pixels")
         wrong = next((word for word in words if not re.fullmatch(rb"[0-9]{1,9}", word)), None)
         if wrong is not None:
-            raise FormatError(f"{path}: a value of the image is {shown(wrong)}, which is no integer")
+            raise FormatError(f"{path}: a value of the image is {quoted(wrong)}, which is no integer")
         grey = np.array(words, dtype="S9").astype(np.int64)
     if int(grey.max()) > most:
         raise FormatError(f"{path}: a pixel is {int(grey.max())}, and the image's maximum is {most}")

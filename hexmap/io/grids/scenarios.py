@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import GridMap
-from hexmap.io.grids.read_bytes import read_bytes, shown, whole
+from hexmap.base.text import quoted, whole_number
+from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
+from hexmap.io.read_file import read_file
 from hexmap.maps.cell_state import CellState
 
 __all__ = ["Scenario", "read_scenario"]
@@ -100,19 +101,19 @@ def read_scenario(path: str | os.PathLike[str]) -> Scenario:
         FormatError: a line is wrong (it is named), or the file has no query.
     """
     path = Path(path)
-    lines = read_bytes(path).split(b"\n")
+    lines = read_file(path, MAX_BYTES).split(b"\n")
     head = lines[0].split()
     if head[:1] != [b"version"] or len(head) != 2:
-        raise FormatError(f"{path}, line 1: a scenario begins with 'version 1', not with {shown(lines[0])}")
+        raise FormatError(f"{path}, line 1: a scenario begins with 'version 1', not with {quoted(lines[0])}")
     if head[1] not in (b"1", b"1.0"):
-        raise FormatError(f"{path}, line 1: only scenarios of version 1 are read, not of {shown(head[1])}")
+        raise FormatError(f"{path}, line 1: only scenarios of version 1 are read, not of {quoted(head[1])}")
     second = lines[1].strip() if len(lines) > 1 else b""
     solid = any(suffix.lower() == ".3dscen" for suffix in path.suffixes[-2:]) or (
         bool(second) and len(second.split()) == 1
     )
     dim = 3 if solid else 2
     if solid and (not second or len(second.split()) > 1):
-        raise FormatError(f"{path}, line 2: the name of the map belongs here, not {shown(second)}")
+        raise FormatError(f"{path}, line 2: the name of the map belongs here, not {quoted(second)}")
     name = second if solid else b""
     size: tuple[int, int] | None = None
     cells, lengths, texts, numbers, buckets = [], [], [], [], []
@@ -138,10 +139,10 @@ def read_scenario(path: str | os.PathLike[str]) -> Scenario:
                     f"and one of {size[0]} x {size[1]} in the lines before"
                 )
             if words[1] != name:
-                raise FormatError(f"{where}: the map is {shown(words[1])}, and {shown(name)} in the lines before")
+                raise FormatError(f"{where}: the map is {quoted(words[1])}, and {quoted(name)} in the lines before")
             bucket, words = first, words[4:]
         elif _length(words[7]) is None:
-            raise FormatError(f"{where}: the ratio must be a number of 0 or more, not {shown(words[7])}")
+            raise FormatError(f"{where}: the ratio must be a number of 0 or more, not {quoted(words[7])}")
         ends = [_integer(where, "a coordinate", word) for word in words[: 2 * dim]]
         if size is not None:
             for value, side in zip(ends, size * 2, strict=True):
@@ -151,7 +152,7 @@ def read_scenario(path: str | os.PathLike[str]) -> Scenario:
                     )
         length = _length(words[2 * dim])
         if length is None:
-            raise FormatError(f"{where}: the length must be a number of 0 or more, not {shown(words[2 * dim])}")
+            raise FormatError(f"{where}: the length must be a number of 0 or more, not {quoted(words[2 * dim])}")
         cells.append(ends)
         lengths.append(length)
         texts.append(words[2 * dim].decode("ascii"))
@@ -176,9 +177,9 @@ def read_scenario(path: str | os.PathLike[str]) -> Scenario:
 
 
 def _integer(where: str, what: str, word: bytes) -> int:
-    value = whole(word)
+    value = whole_number(word)
     if value is None:
-        raise FormatError(f"{where}: {what} must be an integer of 0 or more, not {shown(word)}")
+        raise FormatError(f"{where}: {what} must be an integer of 0 or more, not {quoted(word)}")
     return value
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import GridMap
-from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.base.text import quoted, whole_number
+from hexmap.io.grids.grid_map import GridMap, check_size
 from hexmap.maps.cell_state import CellState
 
 __all__ = ["parse"]
@@ -31,9 +31,9 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
 
     head = data.partition(b"\n")[0]
     words = head.split()
-    sizes = [whole(word) for word in words[1:]]
+    sizes = [whole_number(word) for word in words[1:]]
     if words[:1] != [b"voxel"] or len(sizes) != 3 or None in sizes:
-        raise FormatError(f"{path}, line 1: a voxel map begins with 'voxel X Y Z', not with {shown(head)}")
+        raise FormatError(f"{path}, line 1: a voxel map begins with 'voxel X Y Z', not with {quoted(head)}")
     shape = tuple(size for size in sizes if size is not None)
     if 0 in shape:
         raise FormatError(f"{path}, line 1: the map is empty: {' x '.join(map(str, shape))} voxels")
@@ -53,12 +53,12 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
 def _complaint(line: bytes, shape: tuple[int, ...]) -> str:
     words = line.split()
     if len(words) != 3:
-        return f"a voxel is three integers, not {shown(line)}"
+        return f"a voxel is three integers, not {quoted(line)}"
     for axis, word, size in zip("xyz", words, shape, strict=True):
         if not re.fullmatch(rb"-?[0-9]+", word):
-            return f"{axis} is {shown(word)}, which is no integer"
+            return f"{axis} is {quoted(word)}, which is no integer"
         # Without int(): a number may have any number of digits.
-        value = whole(word.lstrip(b"0") or b"0")
+        value = whole_number(word.lstrip(b"0") or b"0")
         if value is None or value >= size:
-            return f"the voxel {shown(line.strip())} is out of bounds: {axis} goes from 0 to {size - 1}"
-    return f"a voxel is three integers, not {shown(line)}"
+            return f"the voxel {quoted(line.strip())} is out of bounds: {axis} goes from 0 to {size - 1}"
+    return f"a voxel is three integers, not {quoted(line)}"
