@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import itertools
 import math
+import struct
+import zlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from hexmap.base.errors import ArgumentError, BoundsError, FileAccessError, Form
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.io.grids.grid_map import MAX_CELLS, GridMap
 from hexmap.io.grids.open_grid import open_grid
+from hexmap.io.grids.ros_yaml import read_entries
 from hexmap.io.grids.scenarios import read_scenario
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
@@ -521,6 +524,72 @@ def test_png_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "kind", ["P", "P with alpha", "2 bits", "4 bits", "16 bits", "1 bit", "BMP", "BMP of a palette"]
+)
+def test_a_picture_of_another_kind_is_the_same_map(tmp_path: Path, kind: str) -> None:
+    from PIL import Image
+
+    greys = {"2 bits": [0, 85, 170, 255], "4 bits": [0, 51, 119, 255], "1 bit": [0, 255]}.get(kind, [0, 60, 205, 254])
+    values = np.random.default_rng(3).choice(greys, (6, 8)).astype(np.uint8)
+    expected = ros(tmp_path, b"P5 8 6 255\n" + values.tobytes())
+    picture, options, suffix = Image.fromarray(values), {}, ".bmp" if kind.startswith("BMP") else ".png"
+    if kind in ("P", "P with alpha", "BMP of a palette"):
+        picture = Image.fromarray((values + 1).astype(np.uint8)).convert("P")
+        picture.putpalette([max(0, k // 3 - 1) for k in range(768)])
+        options = {"transparency": 3} if "alpha" in kind else {}
+    elif kind in ("2 bits", "4 bits"):
+        bits = int(kind[0])
+        (tmp_path / "m.png").write_bytes(png_of_bits(values // (255 // (2**bits - 1)), bits))
+        picture = None
+    elif kind == "16 bits":
+        picture = Image.fromarray(values.astype(np.uint16) * 257)
+    elif kind == "1 bit":
+        picture = picture.convert("1")
+    if picture is not None:
+        picture.save(tmp_path / f"m{suffix}", **options)
+    yaml = YAML.replace("m.pgm", f"m{suffix}") + ("mode: scale\n" if "alpha" in kind else "")
+    assert np.array_equal(open_grid(write(tmp_path / "m.yaml", yaml)).states, expected.states)
+    with pytest.raises(FormatError, match="picture alone"):
+        open_grid(tmp_path / f"m{suffix}")
+
+
+def png_of_bits(values: np.ndarray, bits: int) -> bytes:
+    """A PNG of few bits a grey; values (H, W) whose rows fill whole bytes."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    single = ((values[:, :, None] >> np.arange(bits)[::-1]) & 1).astype(np.uint8).reshape(len(values), -1)
+    rows = b"".join(b"\0" + row.tobytes() for row in np.packbits(single, axis=1))
+    head = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], bits, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
+def test_a_picture_that_is_too_large_is_refused_by_its_header(tmp_path: Path) -> None:
+    data = bytearray(png_of_bits(np.zeros((1, 8), np.uint8), 4))
+    data[16:24] = struct.pack(">II", 99_999_999, 99_999_999)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    with pytest.raises(TooLargeError, match="99999999 x 99999999 cells"):
+        ros(tmp_path, bytes(data))
+
+
+@settings(max_examples=EXAMPLES, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, len(YAML)), st.sampled_from("[]{}'\"|>-#&*!%@:\t\n ,?~0a")), min_size=1, max_size=6
+    )
+)
+def test_damaged_yaml_is_one_clear_error_or_a_map(edits: list[tuple[int, str]]) -> None:
+    text = YAML
+    for at, mark in edits:
+        text = text[:at] + mark + text[at:]
+    try:
+        read_entries(Path("m.yaml"), text.encode())
+    except FormatError as error:
+        assert str(error).startswith("m.yaml") and "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
     "yaml",
     [
         "\ufeff%YAML 1.1\n---\n" + YAML,
@@ -530,8 +599,13 @@ def test_png_images(tmp_path: Path) -> None:
         YAML.replace("[1.0, -2, 0]", "[ +1. ,-2.0,\t.0 ] # x y yaw"),
         YAML.replace("[1.0, -2, 0]", "\n- 1.0\n- -2\n- 0"),
         YAML.replace("[1.0, -2, 0]", "\n  - 1.0\n  - -2\n  - 0"),
-        YAML + "\n# a remark\nmode: trinary\nauthor: somebody: else\n...\n",
+        YAML + "\n# a remark\nmode: trinary\nauthor: \"somebody: else\"\n...\n",
         YAML.replace("m.pgm", "../{folder}/m.pgm"),
+        YAML.replace("negate: 0\n", "negate:\t0\t# no\nit's:\t'a\ttab'\n").replace("0.65\n", "0.65\t\n"),
+        "{image: m.pgm, resolution: 0.5, origin: [1.0,\n -2, 0], negate: off, occupied_thresh: .65, free_thresh: .196}",
+        YAML + "zones:\n  - name: [a, {b: c}]\n    at: [1, 2]\nnote: |\n  two: lines\n  of: text\n",
+        YAML + "---\nimage: another.pgm\nresolution: [\n",
+        YAML.replace("m.pgm", "&file m.pgm") + "again: *file\nround: &round [*round]\n",
     ],
 )
 def test_spellings_of_the_yaml_file(tmp_path: Path, yaml: str) -> None:
@@ -566,6 +640,17 @@ def test_names_with_blanks_and_marks(tmp_path: Path) -> None:
         ("m.pgm", "", "line 1: the image must be the name of a file, not ''"),
         ("negate: 0", "negate: 0\nmode: colour", "line 5: the mode is one of trinary, scale, raw, not 'colour'"),
         ("negate: 0", "negate: 0\n- 5", "line 5: not 'key: value': '- 5'"),
+        ("negate: 0", "negate: 0\nauthor: a: b", "line 5: not 'key: value': 'author: a: b'"),
+        ("negate: 0", "negate: 0x1", "line 4: 'negate' must be 0 or 1, not '0x1'"),
+        ("0.5", "1_0", "line 2: 'resolution' must be a finite number, not '1_0'"),
+        ("0.5", ".nan", "line 2: 'resolution' must be a finite number, not '.nan'"),
+        ("0.5", "{a: 1}", "line 2: 'resolution' must be a finite number, not a nested value"),
+        ("[1.0, -2, 0]", "[1.0, -2, [0]]", r"line 3: 'origin' must be \[x, y, yaw\], not a nested value"),
+        (YAML, "- image\n", "line 1: not 'key: value': '- image'"),
+        ("negate: 0", "negate: *no", "line 4: not 'key: value': 'negate: \\*no' .found undefined alias"),
+        ("negate: 0", "note: " + "[" * 2000, "not YAML: maximum recursion|line 4"),
+        ("negate: 0", "note: a\x07b", "m.yaml: not YAML: unacceptable character"),
+        ("negate: 0", "# " + "x" * 300_000, "bytes are too many for the YAML file of a ROS map"),
     ],
 )
 def test_what_is_wrong_with_a_yaml_file(tmp_path: Path, old: str, new: str, message: str) -> None:
