@@ -124,18 +124,18 @@ def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:
     from hexmap.base.errors import ArgumentError
     from hexmap.io.map_file import load_map
 
-    world = load_map(path)
-    fine = world.lattice.resolution
+    source = load_map(path)
+    fine = source.lattice.resolution
     if cells is None or cells < 10.0 * fine * (1.0 - 1e-9):
         raise ArgumentError(
             f"{path}: the centres of a map's cells pass for points only where the cells asked for are at least ten "
             f"times its own, {10 * fine:g} m, not {cells} m"
         )
     note = (
-        f"The points are the centres of the {world.lattice.resolution:g} m cells of the map {path.name}, not sensor "
+        f"The points are the centres of the {fine:g} m cells of the map {path.name}, not sensor "
         f"readings: the experiment's cells are {cells / fine:.1f} times as wide."
     )
-    return world.state().occupied.centres(), note
+    return source.state().occupied.centres(), note
 
 
 def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:

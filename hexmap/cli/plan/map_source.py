@@ -91,24 +91,24 @@ def foreign_ground(
     import numpy as np
 
     from hexmap.base.errors import ArgumentError
-    from hexmap.io import grids
+    from hexmap.io.grids.open_grid import open_grid
     from hexmap.lattice.lattice import Lattice, default_name
 
     try:
-        world = grids.open_grid(path, cell=cell)
+        grid = open_grid(path, cell=cell)
     except ArgumentError as error:  # of its arguments only the cell can be wrong
         raise ArgumentError(f"{error}; leave out --cell") from error
-    _check_places(path, query, world.dim)
+    _check_places(path, query, grid.dim)
     # Half a cell in space is eight times the memory, and the walls of an OctoMap are thick.
-    usual = 0.5 * world.cell if world.dim == 2 else world.cell
-    on = Lattice.named(lattice or default_name(world.dim), resolution or usual)
-    if on.dim != world.dim:
-        raise ArgumentError(f"{path}: the map is of dimension {world.dim}, the lattice {on.name} of {on.dim}")
-    low, high = np.asarray(world.low), np.asarray(world.high)
+    usual = 0.5 * grid.cell if grid.dim == 2 else grid.cell
+    on = Lattice.named(lattice or default_name(grid.dim), resolution or usual)
+    if on.dim != grid.dim:
+        raise ArgumentError(f"{path}: the map is of dimension {grid.dim}, the lattice {on.name} of {on.dim}")
+    low, high = np.asarray(grid.low), np.asarray(grid.high)
     _check_size(path, on, low, high)
-    graph = world.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
-    source = f" on cells of {world.cell:g} m"
-    return Ground(path, graph, world.state_at, low, high, source, world.has_unknown, world.y_down)
+    graph = grid.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
+    source = f" on cells of {grid.cell:g} m"
+    return Ground(path, graph, grid.state_at, low, high, source, grid.has_unknown, grid.y_down)
 
 
 def _check_places(path: Path, query: Query, dim: int) -> None:

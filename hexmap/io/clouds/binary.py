@@ -33,7 +33,7 @@ def read_kitti(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
     table = np.frombuffer(data, dtype="<f4").reshape(-1, 4)
     with np.errstate(invalid="ignore"):
         values = np.ascontiguousarray(table[:, chosen], dtype=np.float64)
-        # The format has no mark of its own; bytes of another kind make numbers that are out of this world.
+        # The format has no mark of its own; bytes of another kind make numbers that no coordinate has.
         wild = np.isfinite(values) & (np.abs(values) > _FARTHEST)
     if wild.any():
         row, k = (int(v) for v in np.argwhere(wild)[0])

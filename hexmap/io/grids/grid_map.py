@@ -101,7 +101,7 @@ class GridMap:
     @cached_property
     def has_unknown(self) -> bool:
         """Whether any cell is unknown."""
-        return bool((self.states == CellState.UNKNOWN).any())
+        return bool((self.states == CellState.UNKNOWN.value).any())
 
     @cached_property
     def _box(self) -> NDArray[np.float64]:
@@ -172,7 +172,7 @@ class GridMap:
         """
         _check_unknown(unknown)
         states = self.state_at(points)
-        return states != CellState.OCCUPIED if unknown == "free" else states == CellState.FREE
+        return states != CellState.OCCUPIED.value if unknown == "free" else states == CellState.FREE.value
 
     def centre(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the centres (M, n), metres, of cells (M, n), which may lie outside the grid.
@@ -281,13 +281,13 @@ class GridMap:
 
     def _occupied_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell for each of points (N, n) whether it lies in an occupied cell of the grid."""
-        return self.state_at(points, outside=CellState.UNKNOWN) == CellState.OCCUPIED
+        return self.state_at(points, outside=CellState.UNKNOWN) == CellState.OCCUPIED.value
 
     def _occupied_boxes(self) -> Boxes:
         """Return the occupied cells as boxes, but for those with occupied cells across all their faces."""
         from hexmap.graph.clearance import Boxes
 
-        solid = self.states == CellState.OCCUPIED
+        solid = self.states == CellState.OCCUPIED.value
         surface = np.pad(solid, 1)
         inner = surface.copy()
         for axis in range(self.dim):
