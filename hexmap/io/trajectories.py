@@ -17,7 +17,7 @@ from hexmap.base.errors import ArgumentError, TrajectoryError
 from hexmap.base.text import shown
 from hexmap.io.read_file import cannot_read
 from hexmap.poses.pose import Pose
-from hexmap.poses.rotations import quaternions_to_rotations
+from hexmap.poses.rotations import euler_to_quaternions, quaternions_to_rotations
 from hexmap.poses.trajectory import Relations, Trajectory
 
 
@@ -122,18 +122,8 @@ def read_relations(path: str | os.PathLike[str]) -> Relations:
             text names file, line and value.
     """
     table, _ = _read_table(path, ("t1", "t2", "dx", "dy", "dz", "roll", "pitch", "yaw"), "relations")
-    half = 0.5 * table[:, 5:8]
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    quaternions = np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
-    return Relations(table[:, 0], table[:, 1], table[:, 2:5], quaternions_to_rotations(quaternions))
+    rotations = quaternions_to_rotations(euler_to_quaternions(table[:, 5:8]))
+    return Relations(table[:, 0], table[:, 1], table[:, 2:5], rotations)
 
 
 def _read_table(path: str | os.PathLike[str], columns: tuple[str, ...], what: str) -> tuple[FloatArray, list[int]]:

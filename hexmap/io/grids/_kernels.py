@@ -96,14 +96,14 @@ def walk(data, begin, low, high, counts, fill, first, shape, occupied, free, sta
 
     Returns where the tree ends, -1 where the data end before it, -2 where it is too deep.
     """
-    bits = np.empty(DEPTH + 1, np.uint32)  # two a child, those done shifted out
+    # The stack, an entry a level: the bits of a node's eight children, how many are done, its lowest key.
+    bits = np.empty(DEPTH + 1, np.uint32)
     done = np.empty(DEPTH + 1, np.int64)
     key = np.zeros((DEPTH + 1, 3), np.int64)
     end = data.shape[0]
     at = begin
     if at + 2 > end:
         return -1
-    # An explicit stack of one entry a level: the two bits of the children that are left, and their number.
     level = 0
     bits[0] = np.uint32(data[at]) | (np.uint32(data[at + 1]) << np.uint32(8))
     done[0] = 0
