@@ -36,7 +36,7 @@ def export(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = No
         The files written.
 
     Raises:
-        ArgumentError: a suffix that is not known, a level that the map has not, or a map in space
+        ArgumentError: a suffix that is not known, a level that the map does not have, or a map in space
             for ROS.
         FileAccessError: a file cannot be written.
     """

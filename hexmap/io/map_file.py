@@ -213,8 +213,8 @@ def _header(path: Path, metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
         raise FormatError(
             f"{path}: written by a newer hexmap: format version {version}, this one reads up to {FORMAT_VERSION}"
         )
-    # Parquet guards its pages with checksums and not its metadata, where the basis is. Who edits the
-    # metadata leaves the checksum out.
+    # Parquet has checksums for its pages but not for its metadata, which holds the basis. Metadata that was
+    # edited by hand comes without the checksum.
     stated = header.pop("crc32", None)
     if stated is not None and stated != zlib.crc32(_recode(path, header)):
         raise FormatError(f"{path}: damaged map: its metadata does not fit its checksum 'crc32'")

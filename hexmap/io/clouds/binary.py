@@ -38,7 +38,7 @@ def read_kitti(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
     if wild.any():
         row, k = (int(v) for v in np.argwhere(wild)[0])
         raise FormatError(
-            f"{path}, byte {row * 16 + chosen[k] * 4}: {values[row, k]:.6g} is no coordinate; "
+            f"{path}, byte {row * 16 + chosen[k] * 4}: {values[row, k]:.6g} is not a coordinate; "
             "a KITTI scan is float32 x y z intensity, point after point"
         )
     return Raw(values)
@@ -47,7 +47,7 @@ def read_kitti(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
 def read_npy(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
     """Read a numpy array held in ``data``: (N, 2 or more) numbers, or records with fields x, y (and z).
 
-    Of four and more columns the first three are taken. Nothing is ever unpickled.
+    The first three of four or more columns are taken. Nothing is ever unpickled.
 
     Raises:
         FormatError: the file is damaged, or the array is of another shape or type.

@@ -123,7 +123,7 @@ def _read_header(path: Path, data: bytes) -> _Header:
         if tokens[0] not in _KEYS:
             if end == len(data) and number > 1:
                 continue  # half a line: the file ends in the header
-            raise FormatError(f"{path}, line {number}: {shown(tokens[0])!r} is no entry of a PCD header")
+            raise FormatError(f"{path}, line {number}: {shown(tokens[0])!r} is not an entry of a PCD header")
         key = "FIELDS" if tokens[0] == "COLUMNS" else tokens[0]
         header.entries[key], header.lines[key] = tokens[1:], number
     header.start, header.start_line = min(at, len(data)), number + 1

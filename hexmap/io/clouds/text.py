@@ -223,7 +223,7 @@ def _find_layout(
         if layout.decimal_comma:
             layout.warnings.append("commas in the numbers are read as decimal points")
         return layout
-    # Of all guesses the first that found several columns knows best what is wrong.
+    # The first guess that found several columns knows best what is wrong.
     raise next((error for fields, error in errors if fields > 1), errors[-1][1])
 
 

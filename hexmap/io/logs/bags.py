@@ -408,7 +408,7 @@ def _last(frame: str) -> str:
 
 
 def _stamp(header: Any, nanoseconds: int) -> float:
-    """Return the stamp in seconds; a header that was never filled in gives way to the time of recording."""
+    """Return the stamp in seconds: the header's, or the time of recording where that was never filled in."""
     seconds = header.stamp.sec + header.stamp.nanosec * 1e-9
     return float(seconds if seconds != 0 else nanoseconds * 1e-9)
 
@@ -465,7 +465,7 @@ def _between(edges: Edges, moving: set[str], robot: str, laser: str) -> Pose | N
 
 
 def _newest(held: Iterable[Event], last: Odometry | None, before: Odometry | None) -> Pose | None:
-    """Return the newest pose known when a scan has waited in vain."""
+    """Return the newest pose that is known, for a scan that no reading followed in time."""
     reading = last or before
     return None if reading is None else reading.pose
 

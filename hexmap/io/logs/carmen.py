@@ -131,7 +131,7 @@ class CarmenLog(Log):
     def _events(self) -> Iterator[Event]:
         wanted = self._laser
         others = _LASERS if self.settings.laser is None else frozenset[bytes]()
-        # A log with ROBOTLASER1 and FLASER holds the same scans twice: leaving one out is no news.
+        # A log with ROBOTLASER1 and FLASER holds the same scans twice: leaving one out needs no warning.
         if wanted in (b"ROBOTLASER1", b"FLASER"):
             others = frozenset((b"RLASER", b"ROBOTLASER2")) & others
         stamp = 0.0

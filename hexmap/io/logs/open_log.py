@@ -94,6 +94,6 @@ def _open_folder(path: Path, settings: LogSettings) -> Log:
     if not metadata.is_file():
         storages = sorted(entry.name for entry in path.iterdir() if entry.suffix in (".db3", ".mcap", ".bag"))
         advice = f"; name the file in it ({storages[0]}) or run `ros2 bag reindex`" if storages else ""
-        raise LogError(f"{path}: a folder without metadata.yaml is no ROS 2 bag{advice}")
+        raise LogError(f"{path}: a folder without metadata.yaml is not a ROS 2 bag{advice}")
     text = metadata.read_text(encoding="utf-8", errors="replace")
     return _open_bag(path, settings, "mcap" if "storage_identifier: mcap" in text else "rosbag2")
