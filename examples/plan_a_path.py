@@ -11,7 +11,7 @@ import numpy as np
 from hexmap.drawing.path_drawing import draw_path
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
-from hexmap.maps.state_rule import FREE, OCCUPIED
+from hexmap.maps.cell_state import CellState
 from planners import NoPath, astar, shortcut, to_cell
 from planners.path_files import write_path
 
@@ -55,7 +55,7 @@ draw_path(
     path.points,
     folder / "path.png",
     graph,
-    lambda points: np.where(free_at(points), FREE, OCCUPIED),
+    lambda points: np.where(free_at(points), CellState.FREE, CellState.OCCUPIED),
     extent=((0, 0), (8, 5)),
     whole=True,
     title=f"{path.length:.2f} m through three rooms",

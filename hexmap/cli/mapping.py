@@ -174,11 +174,11 @@ def _read_config(path: Path) -> dict[str, Any]:
     import json
 
     from hexmap.base.errors import FileAccessError, FormatError
+    from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map
 
     try:
-        head = path.open("rb").read(4)
-        if head == b"PAR1":
+        if is_parquet(path):
             settings = [s["settings"] for s in load_map(path).sources() if isinstance(s.get("settings"), dict)]
             if len(settings) != 1 and any(s != settings[0] for s in settings):
                 raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")

@@ -110,17 +110,18 @@ def show(
 ) -> None:
     """Draw a map with its true cells, or points in space as shaded polyhedra."""
     from hexmap.base.errors import ArgumentError
+    from hexmap.io.file_kinds import is_parquet
 
     if output is None and not viewer:
         raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
     check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
     about_points = lattice is not None or volume is not None or resolution is not None
-    if not about_points and clouds.is_parquet(source) and not viewer:
+    if not about_points and is_parquet(source) and not viewer:
         assert output is not None
         _show_map(source, output, level, trajectory, min_hits, min_ratio)
         return
     size = clouds.cell_size(resolution, volume, None, 3)
-    if clouds.is_parquet(source):
+    if is_parquet(source):
         if about_points:
             raise ArgumentError(f"{source}: a map has its lattice; --lattice, --volume and --resolution are for points")
         from hexmap.io.map_file import load_map

@@ -31,8 +31,8 @@ from hexmap.drawing.figure_layout import (
     draw_path_captions,
 )
 from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, place_cells, save_page
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.outlines import ClassTable
-from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
 from hexmap.maps.voxel_list import VoxelList
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ __all__ = ["draw_path"]
 Corners: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 _WALL = SHADES[-2]
-_NEAR = 3  # after UNKNOWN, FREE and OCCUPIED
+_NEAR = 3  # after the states
 _COLOURS = (UNKNOWN_COLOUR, FREE_COLOUR, _WALL, NEAR_COLOUR)
 _MARGIN, _MARGIN_CELLS = 0.15, 8  # around the path, in parts of its longer side and in cells at least
 _GAP = 0.22  # inches between the two views
@@ -74,9 +74,9 @@ def draw_path(
         points: the path (M, n), metres.
         path: ``.png``, ``.svg`` or ``.pdf``.
         graph: that was searched; its free cells are drawn as free.
-        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (the
-            constants of :mod:`hexmap.maps`). Cells that are free by it and blocked in the graph are
-            drawn as too near to an obstacle. Where none is given, what is not free is occupied.
+        state_at: returns the :class:`~hexmap.maps.CellState` (N,) of points (N, n), metres. Cells that are
+            free by it and blocked in the graph are drawn as too near to an obstacle. Where none is given, what
+            is not free is occupied.
         goal: where the path should have led (n,), metres, if it ends elsewhere; left out beyond the extent.
         extent: low and high corner (n,), metres, of what the source of the graph covers; no cell beyond is
             drawn. All free cells where none is given.
@@ -185,12 +185,12 @@ def _kinds_of(
     index: NDArray[np.int64],
     centres: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    """Return UNKNOWN, FREE, OCCUPIED or too near (M,) for cells of the graph."""
+    """Return the states (M,), too near among them, of cells of the graph."""
     free = graph.free[graph.index_to_flat(index)] != 0
     if state_at is None:
-        return np.where(free, FREE, OCCUPIED).astype(np.uint8)
+        return np.where(free, CellState.FREE, CellState.OCCUPIED).astype(np.uint8)
     states = np.asarray(state_at(centres)).astype(np.uint8)
-    return np.where((states == FREE) & ~free, _NEAR, states).astype(np.uint8)
+    return np.where((states == CellState.FREE) & ~free, _NEAR, states).astype(np.uint8)
 
 
 def _dense(line: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -216,7 +216,7 @@ class _Plane:
         self._index, self._centres = _cells_in_box(graph, low, high)
         self._classes = _kinds_of(graph, state_at, self._index, self._centres)
         self.kinds = [("free", FREE_COLOUR), ("occupied", _WALL)]
-        if (self._classes == UNKNOWN).any():
+        if (self._classes == CellState.UNKNOWN).any():
             self.kinds.append(("unknown", UNKNOWN_COLOUR))
         if (self._classes == _NEAR).any():
             self.kinds.insert(1, ("too near", NEAR_COLOUR))
@@ -227,22 +227,23 @@ class _Plane:
     def draw(self, figure: Any, axes: Any, suffix: str) -> None:
         """Draw the cells: pixel by pixel or as outlines."""
         if suffix == ".png":
-            walls = self._classes == OCCUPIED
-            parts = [self._cells(k) for k in (FREE, OCCUPIED, _NEAR)]
+            walls = self._classes == CellState.OCCUPIED
+            parts = [self._cells(k) for k in (CellState.FREE, CellState.OCCUPIED, _NEAR)]
             table = ClassTable(
                 self._lattice,
                 [
                     (cells, np.full(len(cells), k, np.uint8))
-                    for k, cells in zip((FREE, OCCUPIED, _NEAR), parts, strict=True)
+                    for k, cells in zip((CellState.FREE, CellState.OCCUPIED, _NEAR), parts, strict=True)
                 ],
             )
             place_cells(figure, self.page, table, _COLOURS, self._centres[walls], self._classes[walls])
         else:
             # Each area holds the ones after it, so no seam can show.
-            known, near = self._cells(FREE, OCCUPIED, _NEAR), self._cells(OCCUPIED, _NEAR)
-            draw_areas(axes, [(known, FREE_COLOUR), (near, NEAR_COLOUR), (self._cells(OCCUPIED), _WALL)])
+            known, near = self._cells(CellState.FREE, CellState.OCCUPIED, _NEAR), self._cells(CellState.OCCUPIED, _NEAR)
+            draw_areas(axes, [(known, FREE_COLOUR), (near, NEAR_COLOUR), (self._cells(CellState.OCCUPIED), _WALL)])
         if self._lattice.resolution >= _EDGED_WIDTH * self.page.metres_per_inch and len(self._index) <= _EDGED_CELLS:
-            for chosen, colour in ((self._classes != OCCUPIED, FRAME), (self._classes == OCCUPIED, FREE_COLOUR)):
+            walls = self._classes == CellState.OCCUPIED
+            for chosen, colour in ((~walls, FRAME), (walls, FREE_COLOUR)):
                 add_cells(
                     axes, self.page, self._lattice, self._centres[chosen],
                     facecolors="none", edgecolors=colour, linewidths=0.3,
@@ -286,7 +287,7 @@ class _Space:
         half = 0.5 * self._inches * page.metres_per_inch
         floor, ceiling = np.append(page.low, self._middle - half), np.append(page.high, self._middle + half)
         index, centres = _cells_in_box(graph, np.maximum(floor, covered[0]), np.minimum(ceiling, covered[1]))
-        self._walls = centres[_kinds_of(graph, state_at, index, centres) == OCCUPIED]
+        self._walls = centres[_kinds_of(graph, state_at, index, centres) == CellState.OCCUPIED]
 
     def draw(self, figure: Any, axes: Any, suffix: str) -> None:
         """Draw what is seen from above."""

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from hexmap.maps.builder import MapBuilder
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.counter import CellCounter
 from hexmap.maps.map import Level, Map, MapDiff
 from hexmap.maps.metrics import coefficient_of_variation, distortion, interquartile_variability, voxel_count
-from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN, StateRule, States
+from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 
 __all__ = [
-    "FREE",
-    "OCCUPIED",
-    "UNKNOWN",
     "CellCounter",
+    "CellState",
     "Level",
     "Map",
     "MapBuilder",

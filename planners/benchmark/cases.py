@@ -20,8 +20,9 @@ from scipy.spatial import cKDTree
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import HexmapError
 from hexmap.graph.lattice_graph import LatticeGraph
-from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from planners.path import NoPath, Path, measure, to_cell
 
 _SAMPLES = 4  # points of a path a source cell at which its distance to walls is measured
@@ -52,7 +53,7 @@ class Pinches:
         self.world = world
         self.radius = radius
         # Vertices between the cells, the border included: vertex v touches the cells v - 1 and v.
-        free = np.pad(world.states == FREE, 1)
+        free = np.pad(world.states == CellState.FREE, 1)
         n = world.dim
         self.masks: list[tuple[tuple[int, ...], NDArray[np.bool_]]] = []
         for size in range(2, n + 1):
@@ -124,7 +125,7 @@ class Walls:
 
     def __init__(self, states: NDArray[np.uint8]) -> None:
         """Find the blocked cells that a free cell touches; those around the map count too."""
-        blocked = np.pad(states != FREE, 1, constant_values=True)
+        blocked = np.pad(states != CellState.FREE, 1, constant_values=True)
         inner = np.ones_like(blocked)
         for shift in itertools.product((-1, 0, 1), repeat=states.ndim):
             inner &= np.roll(blocked, shift, axis=tuple(range(states.ndim)))
@@ -238,7 +239,7 @@ def ruler_case(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> d
     world = world_of(shared)
     n = world.dim
     graph = LatticeGraph.from_states(
-        Lattice(np.eye(n)), [0] * n, (world.states == FREE).astype(np.uint8), neighbourhood=3**n - 1
+        Lattice(np.eye(n)), [0] * n, (world.states == CellState.FREE).astype(np.uint8), neighbourhood=3**n - 1
     )
     planner = planner_named("astar")
 
@@ -266,7 +267,7 @@ def optimum_case(case: dict[str, Any], rng: np.random.Generator, shared: Any) ->
     from planners.any_angle.optimum import AnyAngleOptimum
 
     world = world_of(shared)
-    ruler = AnyAngleOptimum(world.states == FREE)
+    ruler = AnyAngleOptimum(world.states == CellState.FREE)
     with contextlib.suppress(NoPath):  # the first call may compile
         ruler.path(*(np.asarray(shared[ends][case["first"]], float) for ends in ("starts", "goals")))
     lengths: list[float | None] = []
@@ -313,7 +314,7 @@ def largest_component(states: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return the source cells (M, n) of the largest free part, by faces."""
     from scipy.ndimage import label
 
-    labels, count = label(states == FREE)
+    labels, count = label(states == CellState.FREE)
     if count == 0:
         return np.empty((0, states.ndim), np.int64)
     sizes = np.bincount(labels.ravel())

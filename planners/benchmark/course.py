@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
-from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import read_scenario
+from hexmap.maps.cell_state import CellState
 from planners.benchmark.cases import random_queries
 from planners.benchmark.settings import BenchmarkSettings
 
@@ -133,4 +134,4 @@ ROOTS = {
 
 def free_cells(course: Course) -> int:
     """Return how many source cells are free."""
-    return int((course.world.states == FREE).sum())
+    return int((course.world.states == CellState.FREE).sum())

@@ -16,15 +16,18 @@ from hexmap.drawing.map_drawing import SUFFIXES, draw_map
 from hexmap.drawing.path_drawing import draw_path
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Level, Map
 from hexmap.maps.outlines import outline, silhouette
-from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN, StateRule
+from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.trajectory import Trajectory
 from planners import Path as Path_
 from planners import astar, to_cell
 from tests.lattices import CASES, JIT, PLANAR, SPATIAL, Case
+
+UNKNOWN, FREE, OCCUPIED = CellState
 
 each = pytest.mark.parametrize("case", CASES, ids=str)
 planar = pytest.mark.parametrize("case", PLANAR, ids=str)

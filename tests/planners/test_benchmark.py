@@ -17,8 +17,9 @@ from typer.testing import CliRunner
 from hexmap.base.errors import ArgumentError
 from hexmap.cli.commands import app
 from hexmap.graph.lattice_graph import LatticeGraph
-from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from planners import astar
 from planners.benchmark.benchmark import planning_benchmark
 from planners.benchmark.cases import Pinches, Walls, grid_coordinates
@@ -52,6 +53,10 @@ def random_map(seed: int, shape: tuple[int, ...], part: float = 0.3) -> np.ndarr
     return free
 
 
+def states_of(free: np.ndarray) -> np.ndarray:
+    return np.where(free, CellState.FREE, CellState.OCCUPIED).astype(np.uint8)
+
+
 SMALL = BenchmarkSettings(
     queries=12, angles=(0.0, 17.0), fractions=(2,), planners=("astar",),
     planar=(Grid("Z2", 4), Grid("Z2", 8), Grid("A2", 6)),
@@ -71,7 +76,7 @@ def test_no_lattice_leaks_through_pinches_at_any_angle(grid: Grid, fraction: int
     rng = np.random.default_rng(fraction)
     for seed in range(6 if n == 2 else 3):
         free = random_map(seed, (14, 11) if n == 2 else (6, 5, 6), 0.45)
-        source = GridMap(free.astype(np.uint8), 1.0, rng.uniform(-1, 1, n))
+        source = GridMap(states_of(free), 1.0, rng.uniform(-1, 1, n))
         parts, _ = label(free)
         for angle in (0.0, math.pi / 4, float(rng.uniform(0, 6))):
             world = source.turned(angle)
@@ -88,11 +93,11 @@ def test_no_lattice_leaks_through_pinches_at_any_angle(grid: Grid, fraction: int
 
 
 def test_without_closing_pinches_hexagons_do_leak() -> None:
-    free = np.array([[1, 0], [0, 1]], np.uint8)
+    free = np.array([[True, False], [False, True]])
     lattice = Lattice.named("A2", 0.5)
     leaks = 0
     for angle in np.linspace(0, math.pi, 13):
-        world = GridMap(free, 1.0, [0.0, 0.0]).turned(float(angle))
+        world = GridMap(states_of(free), 1.0, [0.0, 0.0]).turned(float(angle))
         graph = LatticeGraph.rasterise(world.free_at, lattice, world.low, world.high)
         leaks += len(np.unique(graph.components()[graph.free != 0])) == 1
     assert leaks > 0
@@ -105,7 +110,7 @@ def test_distance_to_walls_is_that_of_true_squares_and_cubes(shape: tuple[int, .
         rng = np.random.default_rng(seed)
         u = rng.uniform(0, 1, (200, len(shape))) * shape
         u = u[free[tuple(np.minimum(u.astype(int), np.array(shape) - 1).T)]]
-        found = Walls(free.astype(np.uint8)).distance(u)
+        found = Walls(states_of(free)).distance(u)
         blocked = np.argwhere(~np.pad(free, 1)) - 1
         gap = np.maximum(np.abs(u[:, None] - (blocked + 0.5)) - 0.5, 0)
         expected = np.sqrt((gap**2).sum(axis=2)).min(axis=1)
@@ -116,7 +121,7 @@ def test_distance_to_walls_is_that_of_true_squares_and_cubes(shape: tuple[int, .
 
 def test_grid_coordinates_undo_the_turn() -> None:
     world = GridMap(np.ones((5, 7, 3), np.uint8), 0.25, [1.0, -2.0, 0.5]).turned(0.7)
-    cells = np.argwhere(world.states == FREE)
+    cells = np.argwhere(world.states == CellState.FREE)
     np.testing.assert_allclose(grid_coordinates(world, world.centre(cells)), cells + 0.5, atol=1e-12)
 
 
@@ -296,7 +301,7 @@ def test_two_maps_of_one_name_and_none(tmp_path: Path) -> None:
 def test_every_pair_of_cells_of_the_pinch_table() -> None:
     # Around one corner of four squares only the two diagonals touch in nothing but the corner.
     for pattern in itertools.product((0, 1), repeat=4):
-        free = np.array(pattern, np.uint8).reshape(2, 2)
-        world = GridMap(free, 1.0, [0.0, 0.0])
+        free = np.array(pattern, bool).reshape(2, 2)
+        world = GridMap(states_of(free), 1.0, [0.0, 0.0])
         closed = bool(Pinches(world, 0.3).closed(np.array([[1.1, 0.9]]))[0])
         assert closed == (pattern in ((1, 0, 0, 1), (0, 1, 1, 0)))

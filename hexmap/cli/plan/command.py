@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
 from hexmap.cli.plan.map_source import Ground, foreign_ground, inputs_of, own_ground
 from hexmap.cli.plan.query import (
@@ -102,6 +101,7 @@ def plan(
     The path leads from cell centre to cell centre, from the cell of --from to that of --to.
     """
     from hexmap.base.errors import ArgumentError
+    from hexmap.io.file_kinds import is_parquet
 
     query = Query(
         start, goal, planner, weight, bidirectional, shortcut, nearest,
@@ -118,7 +118,7 @@ def plan(
         from hexmap.drawing.map_drawing import check_picture
 
         check_picture(picture)
-    own = clouds.is_parquet(world)
+    own = is_parquet(world)
     for wrong, options in (
         (own, {"--lattice": lattice, "--resolution": resolution, "--cell": cell}),
         (not own, {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio}),
@@ -179,7 +179,7 @@ def _share_at_unknown(way: Way, ground: Ground, radius: float) -> float:
     """
     import numpy as np
 
-    from hexmap.maps.state_rule import UNKNOWN
+    from hexmap.maps.cell_state import CellState
 
     lattice = ground.graph.lattice
     n = lattice.dim
@@ -199,7 +199,7 @@ def _share_at_unknown(way: Way, ground: Ground, radius: float) -> float:
     for k in range(0, len(line), 256):
         part = line[k : k + 256]
         states = ground.state_at((part[:, None] + disc).reshape(-1, n))
-        met += int((states.reshape(len(part), -1) == UNKNOWN).any(axis=1).sum())
+        met += int((states.reshape(len(part), -1) == CellState.UNKNOWN).any(axis=1).sum())
     return met / len(line)
 
 

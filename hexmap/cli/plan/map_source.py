@@ -44,7 +44,7 @@ class Ground:
     Attributes:
         path: the file.
         graph: its cells, before any radius.
-        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (of hexmap.maps).
+        state_at: returns the :class:`~hexmap.maps.CellState` (N,) of points (N, n), metres.
         low, high: corners of what is known, metres.
         source: what to say of the file's own cells.
         has_unknown: whether any cell is unknown.
@@ -91,31 +91,24 @@ def foreign_ground(
     import numpy as np
 
     from hexmap.base.errors import ArgumentError
-    from hexmap.io import grids
+    from hexmap.io.grids.open_grid import open_grid
     from hexmap.lattice.lattice import Lattice, default_name
-    from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
 
     try:
-        world = grids.open_grid(path, cell=cell)
+        grid = open_grid(path, cell=cell)
     except ArgumentError as error:  # of its arguments only the cell can be wrong
         raise ArgumentError(f"{error}; leave out --cell") from error
-    _check_places(path, query, world.dim)
+    _check_places(path, query, grid.dim)
     # Half a cell in space is eight times the memory, and the walls of an OctoMap are thick.
-    usual = 0.5 * world.cell if world.dim == 2 else world.cell
-    on = Lattice.named(lattice or default_name(world.dim), resolution or usual)
-    if on.dim != world.dim:
-        raise ArgumentError(f"{path}: the map is of dimension {world.dim}, the lattice {on.name} of {on.dim}")
-    low, high = np.asarray(world.low), np.asarray(world.high)
+    usual = 0.5 * grid.cell if grid.dim == 2 else grid.cell
+    on = Lattice.named(lattice or default_name(grid.dim), resolution or usual)
+    if on.dim != grid.dim:
+        raise ArgumentError(f"{path}: the map is of dimension {grid.dim}, the lattice {on.name} of {on.dim}")
+    low, high = np.asarray(grid.low), np.asarray(grid.high)
     _check_size(path, on, low, high)
-    graph = world.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
-    codes = np.zeros(3, np.uint8)
-    codes[[grids.BLOCKED, grids.FREE, grids.UNKNOWN]] = OCCUPIED, FREE, UNKNOWN
-
-    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        return codes[world.state_at(points)]
-
-    source = f" on cells of {world.cell:g} m"
-    return Ground(path, graph, state_at, low, high, source, world.has_unknown, world.y_down)
+    graph = grid.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
+    source = f" on cells of {grid.cell:g} m"
+    return Ground(path, graph, grid.state_at, low, high, source, grid.has_unknown, grid.y_down)
 
 
 def _check_places(path: Path, query: Query, dim: int) -> None:

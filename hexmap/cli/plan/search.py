@@ -94,7 +94,7 @@ def _why(
     """Return why there is no path, with places in metres, and which options may help."""
     import numpy as np
 
-    from hexmap.maps.state_rule import UNKNOWN
+    from hexmap.maps.cell_state import CellState
 
     start, goal = query.start, query.goal
     smaller = ["a smaller --radius"] if query.radius > 0.0 else []
@@ -115,7 +115,7 @@ def _why(
             room = float(ground.graph.clearance_at(flat, to="cell")[0])
             text = f"{where} is {room:.3g} m from an occupied cell, nearer than the radius of {query.radius:g} m"
             helps += smaller
-        elif ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
+        elif ground.state_at(ground.graph.lattice.centres(cell))[0] == CellState.UNKNOWN:
             text = f"{where} is unknown"
             helps += open_up
         else:

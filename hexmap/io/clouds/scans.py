@@ -17,7 +17,7 @@ __all__ = ["scans_to_points"]
 def scans_to_points(pairs: Iterable[tuple[Scan, Pose]]) -> NDArray[np.float64]:
     """Return the points of all scans in the map's frame, in the order of the scans.
 
-    Which pose goes with which scan is for the caller to say, who knows the log and its poses.
+    The caller, who knows the log and its poses, says which pose goes with which scan.
 
     Args:
         pairs: scans with their ``T_map_sensor``; all of one dimension.

@@ -11,8 +11,8 @@ Examples:
 
 from __future__ import annotations
 
-from hexmap.io.grids.grid_map import BLOCKED, FREE, MAX_CELLS, UNKNOWN, GridMap
+from hexmap.io.grids.grid_map import MAX_CELLS, GridMap
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import Scenario, read_scenario
 
-__all__ = ["BLOCKED", "FREE", "MAX_CELLS", "UNKNOWN", "GridMap", "Scenario", "open_grid", "read_scenario"]
+__all__ = ["MAX_CELLS", "GridMap", "Scenario", "open_grid", "read_scenario"]

@@ -261,7 +261,7 @@ PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256))
         ("a.clf.gz", gzip.compress(b"hello")[:8], "gzip"),
         ("a.clf.gz", b"\x1f\x8b" + bytes(100), "gzip"),
         ("a.clf", np.random.default_rng(0).bytes(5000), "binary"),
-        ("a.clf", "FLASER".encode("utf-16"), "binary"),
+        ("a.clf", "FLASER".encode("utf-16"), "UTF-16; save it as UTF-8"),
         ("a.parquet", b"PAR1\x15\x04", "Parquet"),
         ("run.bag", b"#ROSBAG V2.0\nrubbish", "bag cannot be read"),
         ("run.bag", b"#ROSBAG V1.2\n", "bag cannot be read"),
