@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
-from planners.path import NoPath, Path, _not_connected, cells_to_flat, make_path
+from planners.path import NoPath, Path, cells_to_flat, make_path, not_connected
 from planners.search.heuristics import gauge_planes, least_terrain
 from planners.search.nearest import nearest_reachable
 from planners.search.sparse_arrays import blank
@@ -105,7 +105,7 @@ def astar(
     # Answered at once where somebody has looked for the components already.
     labels = getattr(graph, "_labels", None)
     if labels is not None and not (labels[goals] == labels[source[0]]).any():
-        raise _not_connected(start, goal)
+        raise not_connected(start, goal)
     from planners.search import _astar_kernels as kernels
 
     lengths = graph.lengths
@@ -134,7 +134,7 @@ def astar(
             *arrays, planes, rises, places[0], targets, source[0], goals, scale, slack, g, via, g_back, via_back
         )
         if meeting < 0:
-            raise _not_connected(start, goal)
+            raise not_connected(start, goal)
         ahead = kernels.follow(via, graph.offsets, meeting, -1)[::-1]
         flat = np.concatenate([ahead, kernels.follow(via_back, graph.offsets, meeting, 1)[1:]])
     else:
@@ -151,7 +151,7 @@ def astar(
             arrays, padded, targets, _onward_moves(graph), int(source[0]), *queue, graph.moves, g, via
         )
         if found < 0:
-            raise _not_connected(start, goal)
+            raise not_connected(start, goal)
         flat = np.ascontiguousarray(kernels.follow(via, graph.offsets, found, -1)[::-1])
         bound = min(max(g[found] / lower, 1.0), float(weight))
     seconds = time.perf_counter() - begin
