@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
-from planners.path import NoPath, Path, _not_connected, cells_to_flat, make_path
+from planners.path import NoPath, Path, cells_to_flat, make_path, not_connected
 from planners.search.heuristics import gauge_planes, least_terrain
 from planners.search.nearest import nearest_reachable
 from planners.search.pruning import onward_moves
@@ -96,11 +96,11 @@ def astar(
     # Answered at once where the components are known already.
     labels = graph.known_labels()
     if labels is not None and not (labels[goals] == labels[source[0]]).any():
-        raise _not_connected(start, goal)
+        raise not_connected(start, goal)
     query = _prepare(graph, source, goals, heuristic)
     found = _search_from_both_ends(query) if bidirectional else _search(query, weight)
     if found is None:
-        raise _not_connected(start, goal)
+        raise not_connected(start, goal)
     seconds = time.perf_counter() - begin
     return make_path(
         graph,

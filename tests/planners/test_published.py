@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planners.benchmark.cases import ruler_case
-from planners.benchmark.course import open_course, print_style, publishers_roots, same_to_the_digits
+from planners.benchmark.cases import baseline_case
+from planners.benchmark.problem_set import open_problem_set, print_style, publishers_roots, same_to_the_digits
 from planners.benchmark.settings import BenchmarkSettings
 
 MAPS = [
@@ -24,20 +24,20 @@ WHOLE = {"movingai/arena.map"}
 @pytest.mark.parametrize("name", MAPS)
 def test_the_published_lengths(data_dir: Path, name: str) -> None:
     queries = 10**6 if name in WHOLE else 200
-    course = open_course(data_dir / "planning" / name, BenchmarkSettings(queries=queries))
-    world = course.world
+    problems = open_problem_set(data_dir / "planning" / name, BenchmarkSettings(queries=queries))
+    grid_map = problems.grid_map
     shared = {
-        "states": world.states, "cell": 1.0, "origin": np.full(world.dim, -0.5), "yaw": 0.0,
-        "starts": course.starts, "goals": course.goals, "threads": 2,
+        "states": grid_map.states, "cell": 1.0, "origin": np.full(grid_map.dim, -0.5), "yaw": 0.0,
+        "starts": problems.starts, "goals": problems.goals, "threads": 2,
     }  # fmt: skip
-    found = ruler_case({"first": 0, "last": len(course.texts)}, np.random.default_rng(0), shared)
-    assert len(found["cost"]) == (len(course.texts) if name in WHOLE else 200)
-    _, equal = publishers_roots(found["steps"], course.texts, course.style)
-    listed = [(int(course.problem[k]), course.texts[k], found["cost"][k]) for k in np.flatnonzero(~equal)]
+    found = baseline_case({"first": 0, "last": len(problems.texts)}, np.random.default_rng(0), shared)
+    assert len(found["cost"]) == (len(problems.texts) if name in WHOLE else 200)
+    _, equal = publishers_roots(found["steps"], problems.texts, problems.style)
+    listed = [(int(problems.problem[k]), problems.texts[k], found["cost"][k]) for k in np.flatnonzero(~equal)]
     assert listed == []
     # The roots that a publisher used change no length by more than this.
-    ours, theirs = np.array(found["cost"]), np.array([float(text) for text in course.texts])
-    assert np.abs(ours / theirs - 1).max() < 1e-5 or course.style == ("f", 2)
+    ours, theirs = np.array(found["cost"]), np.array([float(text) for text in problems.texts])
+    assert np.abs(ours / theirs - 1).max() < 1e-5 or problems.style == ("f", 2)
 
 
 @pytest.mark.parametrize(
