@@ -100,6 +100,26 @@ def test_a_scan_is_found_in_space(name: str) -> None:
     assert match is not None and match.pose.is_close(truth, metres=0.1, radians=0.03)  # half a cell
 
 
+@pytest.mark.parametrize("name", ["Z2", "A2"])
+def test_a_pose_refined_far_beyond_the_search_falls_back_to_the_searched_one(name: str) -> None:
+    """A scan of one short wall 50 m away: turning by a hundredth of a radian to fit it moves the robot by metres."""
+    lattice = Lattice.named(name, 0.1)
+    along = np.linspace(-2.0, 2.0, 400)
+    wall = np.stack([along, np.full(400, 50.0)], axis=1)
+    window = SearchWindow(0.2, 0.004)
+    for slant in (0.0005, 0.05):  # how much the wall of the map is turned about its middle
+        turned = np.stack([along, 50.0 + slant * along + 0.02], axis=1)
+        world = ListOccupancy(VoxelList.from_points(turned, lattice))
+        searched = ScanMatcher(window, refine=False).match(wall, Pose.identity(2), world)
+        refined = ScanMatcher(window).match(wall, Pose.identity(2), world)
+        assert searched is not None and refined is not None
+        moved = float(np.linalg.norm(refined.pose.translation - searched.pose.translation))
+        if slant == 0.05:
+            assert refined.pose == searched.pose
+        else:
+            assert 0.0 < moved <= 2.0 * lattice.resolution
+
+
 def test_equal_scores_go_to_the_pose_nearest_to_the_prediction() -> None:
     lattice = Lattice.named("Z2", 0.1)
     corridor = np.stack([np.arange(-50, 51) * 0.1, np.full(101, 1.0)], axis=1)
