@@ -45,6 +45,8 @@ class GridMap:
         y_down: whether pictures show y downwards, as MovingAI counts rows from the top.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap.io.grids import GridMap
         >>> world = GridMap(np.array([[1, 0], [1, 1]], np.uint8), 0.5, [0, 0])
         >>> world.state_at([[0.1, 0.1], [0.1, 0.6], [7, 7]]).tolist()
         [1, 0, 0]
