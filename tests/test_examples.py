@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import doctest
 import importlib
 import re
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,8 +64,22 @@ def test_the_readme_has_python() -> None:
 
 @pytest.mark.parametrize("number", range(len(README)))
 def test_the_imports_of_the_readme_work(number: int) -> None:
-    """The rest needs files and data of the reader's; it must be Python, and use no name that nobody gave it."""
+    """What stands below them needs the reader's files; it is Python all the same."""
     tree = ast.parse(README[number])
     imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
     assert imports
     exec(compile(ast.Module(imports, []), "README.md", "exec"), {})
+
+
+@pytest.mark.data
+@pytest.mark.long
+def test_the_python_of_the_readme_runs(data_dir: Path, tmp_path: Path) -> None:
+    """From top to bottom, on the files that it names."""
+    (tmp_path / "intel.clf.gz").symlink_to(data_dir / "laser2d" / "intel.clf.gz")
+    (tmp_path / "Complex.3dmap.gz").symlink_to(data_dir / "planning" / "warframe" / "Complex.3dmap.gz")
+    rng = np.random.default_rng(0)
+    names = {"points": rng.uniform(-1.0, 1.0, (100, 3)), "scan": rng.uniform(-1.0, 1.0, (50, 2))}
+    with contextlib.chdir(tmp_path):
+        for block in README:
+            exec(compile(block, "README.md", "exec"), names)
+    assert (tmp_path / "intel.parquet").exists() and len(names["path"]) > 10

@@ -19,7 +19,7 @@ from hexmap.poses.scan import Scan
 from localisation.matching.local_matcher import ScanMatcher
 from localisation.matching.occupancy import CounterOccupancy, ListOccupancy
 from localisation.matching.search_region import SearchWindow, shifts_in_ball
-from tests.lattices import CASES, Case
+from tests.lattices import CASES, EXAMPLES, Case
 
 
 def room(dim: int, count: int, seed: int) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_the_best_pose_of_the_window_is_never_lost(case: Case, seed: int) -> Non
 
 
 @given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=EXAMPLES // 2, deadline=None)
 def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: str) -> None:
     lattice = Lattice.named(name, 0.05)
     walls = room(2, 4000, 1)

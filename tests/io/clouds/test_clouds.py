@@ -21,6 +21,7 @@ from hexmap.io.clouds.read_points import read_points
 from hexmap.io.clouds.scans import scans_to_points
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
+from tests.lattices import EXAMPLES
 from tests.observing import count_calls
 
 # Whole 64ths: every format, with float32 or nine digits, holds them exactly.
@@ -196,7 +197,7 @@ def test_a_file_cut_off_anywhere_is_one_clear_line_or_fewer_points(tmp_path: Pat
             assert np.array_equal(found.points[:-1], POINTS[: len(found) - 1, : found.dim])
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(sorted(SAMPLES)), st.data())
 def test_damage_is_never_anything_but_a_clear_line(tmp_path: Path, name: str, draw: st.DataObject) -> None:
     data = bytearray(SAMPLES[name][0])
@@ -213,7 +214,7 @@ def test_damage_is_never_anything_but_a_clear_line(tmp_path: Path, name: str, dr
         assert np.isfinite(found.points).all() and len(found) > 0
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300), st.sampled_from([None, "pcd", "ply", "text", "kitti", "npy"]))
 def test_bytes_of_any_kind_make_nothing_but_a_clear_line(tmp_path: Path, data: bytes, kind: str | None) -> None:
     path = tmp_path / "a"
