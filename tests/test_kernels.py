@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = [path for package in ("hexmap", "planners", "localisation") for path in sorted((ROOT / package).rglob("*.py"))]
+PACKAGES = ("hexmap", "planners", "localisation")
+SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 KERNEL_FILES = [path for path in SOURCES if path.name.startswith("_") and path.name.endswith("kernels.py")]
 
 
