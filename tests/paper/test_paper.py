@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import pytest
 
 from hexmap.base.errors import ArgumentError
 from hexmap.cli import main
-from hexmap.drawing.solids import draw_solids
 from hexmap.io.clouds.read_points import read_points
 from hexmap.lattice.lattice import NAMES, Lattice
 from hexmap.paper.quantiser import quantiser_experiment, uniform_on_cells
@@ -44,12 +44,14 @@ SMALL = {"step": 15.0, "random": 12}
 def small_solids(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw solids in few pixels, which is where the time goes; the long run draws them in full."""
     if not LONG:
-        in_full = draw_solids.draw_solids
+        # The package's face has a function of the module's name.
+        module = importlib.import_module("hexmap.drawing.solids.draw_solids")
+        in_full = module.draw_solids
 
         def in_few(*arguments: Any, **options: Any) -> Path:
             return in_full(*arguments, **{**options, "size": (160, 120)})
 
-        monkeypatch.setattr(draw_solids, "draw_solids", in_few)
+        monkeypatch.setattr(module, "draw_solids", in_few)
 
 
 @pytest.fixture
