@@ -77,6 +77,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Examples:
         >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hexmap.base.atomic_files import atomic_path
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     with atomic_path(Path(folder) / "a.txt") as temporary:
         ...         _ = temporary.write_text("whole")

@@ -124,6 +124,9 @@ def bootstrap(
             them, or another argument out of range.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap.experiments import bootstrap
+        >>> from hexmap.experiments.statistics import mean
         >>> interval = bootstrap(np.arange(100.0), mean, rng=np.random.default_rng(0))
         >>> interval.value
         49.5

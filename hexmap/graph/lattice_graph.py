@@ -74,6 +74,9 @@ class LatticeGraph:
         equal_edges: whether all lengths are equal (the terrain not considered).
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap import Lattice
+        >>> from hexmap.graph import LatticeGraph
         >>> graph = LatticeGraph.from_states(Lattice.named("A2"), [0, 0], np.ones((3, 3), np.uint8))
         >>> graph.neighbours([0, 0]).tolist()
         [[0, 1], [1, 0]]

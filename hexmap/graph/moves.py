@@ -24,6 +24,8 @@ def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
     but for the two ends; lexicographically ascending, none for a move across a face.
 
     Examples:
+        >>> from hexmap import Lattice
+        >>> from hexmap.graph import swept_cells
         >>> swept_cells(Lattice.named("Z2"), [1, 1]).tolist()
         [[0, 1], [1, 0]]
     """

@@ -52,6 +52,9 @@ def save_map(path: str | os.PathLike[str], map: Map) -> None:
 
     Examples:
         >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hexmap import Lattice, Map, VoxelList, load_map, save_map
+        >>> from hexmap.maps import Level
         >>> hexagons = Lattice.named("A2", resolution=0.1)
         >>> hits = VoxelList.from_points([[0.02, 0.31]], hexagons)
         >>> with tempfile.TemporaryDirectory() as folder:

@@ -62,6 +62,9 @@ class TumWriter:
 
     Examples:
         >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hexmap import Pose
+        >>> from hexmap.io.trajectories import TumWriter
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     with TumWriter(Path(folder) / "a.tum") as writer:
         ...         writer.append(0.5, Pose.planar(1.0, 2.0, 0.0))

@@ -121,6 +121,7 @@ class Lattice:
         name: what to call it in print; it decides nothing.
 
     Examples:
+        >>> from hexmap import Lattice
         >>> hexagons = Lattice.named("A2", resolution=0.1)
         >>> hexagons.quantise([[0.02, 0.31]]).tolist()
         [[0, 3]]

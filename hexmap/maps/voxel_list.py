@@ -32,6 +32,7 @@ class VoxelList:
         counts: (M,) int64 occupancy o of each, at least 1.
 
     Examples:
+        >>> from hexmap import Lattice, VoxelList
         >>> squares = Lattice.named("Z2", resolution=1.0)
         >>> walls = VoxelList.from_points([[0.1, 0.0], [0.2, 0.1], [2.0, 0.0]], squares)
         >>> walls.rows().tolist()

@@ -33,6 +33,8 @@ class Pose:
         translation: (n,) float64 in metres, read-only.
 
     Examples:
+        >>> import math
+        >>> from hexmap import Pose
         >>> T_map_robot = Pose.planar(1.0, 2.0, math.pi / 2)
         >>> T_map_robot.apply([[1.0, 0.0]]).round(6).tolist()
         [[1.0, 3.0]]

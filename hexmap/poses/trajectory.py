@@ -36,6 +36,7 @@ class Trajectory:
         quaternions: (N, 4) float64 unit quaternions x y z w.
 
     Examples:
+        >>> from hexmap import Pose, Trajectory
         >>> t = Trajectory.from_poses([0.0, 1.0], [Pose.identity(2), Pose.planar(1.0, 0.0, 0.5)])
         >>> len(t), t.planar, t[1]
         (2, True, Pose.planar(1, 0, 0.5))

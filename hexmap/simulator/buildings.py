@@ -60,6 +60,7 @@ def world(name: str) -> World:
         ArgumentError: no world of that name.
 
     Examples:
+        >>> from hexmap.simulator import world
         >>> world("room").walls.shape[1:]
         (2, 2)
     """

@@ -115,6 +115,8 @@ def cast(walls: ArrayLike, origin: ArrayLike, angles: ArrayLike) -> NDArray[np.f
         ArgumentError: arrays of other shapes, or values that are not finite.
 
     Examples:
+        >>> import math
+        >>> from hexmap.simulator import cast
         >>> cast([[[2.0, -1.0], [2.0, 1.0]]], [0.0, 0.0], [0.0, math.pi]).tolist()
         [2.0, inf]
     """

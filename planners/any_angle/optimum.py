@@ -85,6 +85,8 @@ class AnyAngleOptimum:
         nbytes: memory of the prepared map.
 
     Examples:
+        >>> import numpy as np
+        >>> from planners import AnyAngleOptimum
         >>> free = np.ones((3, 3), bool)
         >>> free[1, 0:2] = False
         >>> AnyAngleOptimum(free).path([0, 0], [2, 0]).points.tolist()

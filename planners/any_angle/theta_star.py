@@ -89,8 +89,10 @@ def line_of_sight(graph: LatticeGraph, a: ArrayLike, b: ArrayLike) -> bool | NDA
         ArgumentError: not integers of that shape.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import line_of_sight
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.array([[1, 1, 1], [1, 0, 1]], np.uint8))
         >>> line_of_sight(graph, [0, 0], [[0, 2], [1, 0], [1, 2]]).tolist()
         [True, True, False]
@@ -154,8 +156,10 @@ def any_angle(
         ArgumentError: the graph has terrain, or an end is not one cell.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import any_angle
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((4, 5), np.uint8))
         >>> any_angle(graph, [0, 0], [3, 4]).length
         5.0

@@ -48,8 +48,10 @@ class Replanner:
     cells would not fit into 61 bits), and paths that differ by less are not told apart.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import Replanner
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((3, 5), np.uint8))
         >>> robot = Replanner(graph, [0, 0], [0, 4])
         >>> robot.path().cost

@@ -74,8 +74,10 @@ def astar(
         ArgumentError: an option is out of its range.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import astar
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((3, 5), np.uint8))
         >>> astar(graph, [0, 0], [2, 4]).cost
         6.0

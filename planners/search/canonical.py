@@ -138,8 +138,10 @@ def canonical(
         ArgumentError: the graph has terrain or more than 61 moves, or more than one cell is given.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import canonical
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((9, 9), np.uint8), neighbourhood=8)
         >>> path = canonical(graph, [0, 0], [8, 3])
         >>> round(path.cost, 6), len(path)

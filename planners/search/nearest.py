@@ -38,8 +38,10 @@ def nearest_reachable(graph: LatticeGraph, start: ArrayLike, point: ArrayLike) -
         BoundsError: the point is farther away than indices can tell.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import nearest_reachable
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((3, 5), np.uint8))
         >>> nearest_reachable(graph, [0, 0], [9.0, 3.2]).tolist()
         [2, 3]

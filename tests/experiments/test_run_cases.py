@@ -34,6 +34,7 @@ from hexmap.experiments.statistics import (
     mean,
 )
 from hexmap.maps.metrics import coefficient_of_variation, interquartile_variability
+from tests.observing import PATIENCE, wait_until
 
 Case = dict[str, Any]
 Shared = Mapping[str, Any]
@@ -460,22 +461,19 @@ def test_ctrl_c_loses_nothing_and_leaves_nobody(tmp_path: Path, workers: int) ->
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     progress = tmp_path / "progress"
-    begin = time.monotonic()
-    while not (progress.exists() and progress.read_text() and int(progress.read_text().split()[0]) >= 3):
-        assert run.poll() is None and time.monotonic() - begin < 60, run.communicate()
-        time.sleep(0.01)
+
+    def three_are_done() -> bool:
+        assert run.poll() is None, run.communicate()
+        return progress.exists() and int((progress.read_text() or "0").split()[0]) >= 3
+
+    wait_until(three_are_done)
     family = children(run.pid)
     assert len(family) >= (workers if workers > 1 else 0)
-    at = time.monotonic()
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes of the group
-    _, errors = run.communicate(timeout=20)
-    assert time.monotonic() - at < 2.0
+    _, errors = run.communicate(timeout=PATIENCE)
     assert run.returncode == 130 and (tmp_path / "stopped").exists()
     assert errors == ""
-    begin = time.monotonic()
-    while any(runs(pid) for pid in family):
-        assert time.monotonic() - begin < 1
-        time.sleep(0.01)
+    wait_until(lambda: not any(runs(pid) for pid in family))
     (journal,) = journals(tmp_path / "journal")
     finished = len(journal.read_text().splitlines()) - 1
     assert int(progress.read_text().split()[0]) <= finished < 12
@@ -496,17 +494,16 @@ def test_workers_do_not_outlive_a_killed_run(tmp_path: Path) -> None:
     command = [sys.executable, str(script), str(tmp_path), "2", "30"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "TMPDIR": str(tmp_path)}
     run = subprocess.Popen(command, env=environment, start_new_session=True)
-    begin = time.monotonic()
-    while len(family := children(run.pid)) < 3:  # two workers and what looks after their resources
-        assert run.poll() is None and time.monotonic() - begin < 60
-        time.sleep(0.05)
+
+    def family_of_three() -> set[int]:  # two workers and what looks after their resources
+        assert run.poll() is None
+        return family if len(family := children(run.pid)) >= 3 else set()
+
+    family = wait_until(family_of_three)
     time.sleep(1.0)
     run.kill()
     run.wait()
-    begin = time.monotonic()
-    while any(runs(pid) for pid in family):
-        assert time.monotonic() - begin < 10
-        time.sleep(0.05)
+    wait_until(lambda: not any(runs(pid) for pid in family))
 
 
 # ---------------------------------------------------------------------- intervals

@@ -150,6 +150,26 @@ def test_a_wrong_turn_of_the_wheels_is_found_again() -> None:
     assert is_scan and found.is_close(truth, metres=0.03, radians=0.02)
 
 
+@pytest.mark.parametrize(("better", "moves"), [(20, False), (120, True)], ids=["a little", "clearly"])
+def test_a_wider_search_must_beat_the_narrower_one_clearly(better: int, moves: bool) -> None:
+    """Most of a scan is new, the rest agrees with the map at the prediction, and better still a metre away."""
+    rng = np.random.default_rng(4)
+
+    def ring(count: int, nearest: float, farthest: float) -> np.ndarray:
+        """Points far enough away that few beams pass through the cells of others."""
+        bearing, distance = rng.uniform(0.0, 2.0 * math.pi, count), rng.uniform(nearest, farthest, count)
+        return np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
+
+    here, only_away, new = ring(200, 8.0, 10.0), ring(better, 8.0, 10.0), ring(320, 20.0, 24.0)
+    away = Lattice.named("A2", 0.1).centres([[8, -10]])[0]  # of the level that is searched
+    mapper = ScanMapper(MappingSettings(search_radians=0.0))
+    list(mapper.add(Scan(0.0, np.concatenate([here, here + away, only_away + away]), odometry=Pose.identity(2))))
+    scan = np.concatenate([here, only_away, new])
+    ((_, found, _),) = mapper.add(Scan(1.0, scan, odometry=Pose.identity(2)))
+    expected = Pose.planar(*away, 0.0) if moves else Pose.identity(2)
+    assert found.is_close(expected, metres=0.05, radians=0.01)
+
+
 def test_readings_between_scans_share_the_correction() -> None:
     mapper = ScanMapper(MappingSettings())
     rng = np.random.default_rng(1)

@@ -14,16 +14,18 @@ from planners.benchmark.settings import BenchmarkSettings
 MAPS = [
     *(f"movingai/{name}.map" for name in
       ("arena", "den520d", "AR0011SR", "Berlin_0_512", "brc202d", "maze512-8-0", "random512-25-0")),
-    *(f"warframe/{name}.3dmap.gz" for name in ("Simple", "Complex", "A1")),
+    *(f"warframe/{name}.3dmap.gz" for name in ("Simple", "Complex")),
+    pytest.param("warframe/A1.3dmap.gz", marks=pytest.mark.long),
 ]  # fmt: skip
-# Every problem of these, 200 seeded ones of the others.
+# Every problem of these, that many seeded ones of the others.
 WHOLE = {"movingai/arena.map"}
+SOME = 200
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", MAPS)
 def test_the_published_lengths(data_dir: Path, name: str) -> None:
-    queries = 10**6 if name in WHOLE else 200
+    queries = 10**6 if name in WHOLE else SOME
     problems = open_problem_set(data_dir / "planning" / name, BenchmarkSettings(queries=queries))
     grid_map = problems.grid_map
     shared = {
@@ -31,7 +33,7 @@ def test_the_published_lengths(data_dir: Path, name: str) -> None:
         "starts": problems.starts, "goals": problems.goals, "threads": 2,
     }  # fmt: skip
     found = baseline_case({"first": 0, "last": len(problems.texts)}, np.random.default_rng(0), shared)
-    assert len(found["cost"]) == (len(problems.texts) if name in WHOLE else 200)
+    assert len(found["cost"]) == (len(problems.texts) if name in WHOLE else SOME)
     _, equal = publishers_roots(found["steps"], problems.texts, problems.style)
     listed = [(int(problems.problem[k]), problems.texts[k], found["cost"][k]) for k in np.flatnonzero(~equal)]
     assert listed == []

@@ -7,7 +7,8 @@ samples a pixel), the view is a true perspective, and shadows are computed.
 Examples:
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from hexmap.lattice import Lattice
+    >>> from hexmap import Lattice, VoxelList
+    >>> from hexmap.drawing.solids import draw_solids
     >>> ball = Lattice.named("D3", resolution=0.1).disk([0, 0, 0], 3)
     >>> cells = VoxelList.from_cells(ball, Lattice.named("D3", resolution=0.1))
     >>> with tempfile.TemporaryDirectory() as folder:

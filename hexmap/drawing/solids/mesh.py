@@ -154,6 +154,8 @@ def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
         ArgumentError: the lattice is one of the plane.
 
     Examples:
+        >>> from hexmap import Lattice, VoxelList
+        >>> from hexmap.drawing.solids import mesh_of_cells
         >>> two = VoxelList.from_cells([[0, 0, 0], [1, 0, 0]], Lattice.named("Z3", resolution=0.5))
         >>> mesh = mesh_of_cells(two)
         >>> mesh.face_count, len(mesh.vertices), round(mesh.volume, 9)

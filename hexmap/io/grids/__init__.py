@@ -4,6 +4,7 @@ MovingAI grids (``.map``), Warframe voxels (``.3dmap``), ROS map_server maps (``
 OctoMaps (``.bt``), and the benchmark problems that belong to the first two (``.scen``, ``.3dscen``).
 
 Examples:
+    >>> from hexmap import Lattice
     >>> from hexmap.io.grids import open_grid, read_scenario
     >>> grid = open_grid("arena.map")  # doctest: +SKIP
     >>> graph = grid.to_graph(Lattice.named("A2", resolution=0.5))  # doctest: +SKIP

@@ -45,6 +45,9 @@ class GridMap:
         y_down: whether pictures show y downwards, as MovingAI counts rows from the top.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap.io.grids import GridMap
+        >>> from hexmap.maps import CellState
         >>> grid = GridMap(np.array([[1, 2], [1, 1]], np.uint8), 0.5, [0, 0])
         >>> [CellState(s).name for s in grid.state_at([[0.1, 0.1], [0.1, 0.6], [7, 7]])]
         ['FREE', 'OCCUPIED', 'OCCUPIED']
