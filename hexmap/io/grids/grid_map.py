@@ -15,7 +15,7 @@ from hexmap.base.errors import ArgumentError, BoundsError
 from hexmap.lattice.lattice import Lattice
 
 if TYPE_CHECKING:
-    from hexmap.graph.clearance import Boxes
+    from hexmap.graph.bodies import Boxes
     from hexmap.graph.lattice_graph import LatticeGraph
     from hexmap.graph.moves import Neighbourhood
 
@@ -266,7 +266,7 @@ class GridMap:
         if self.yaw != 0.0 or self.has_unknown:
             low, high = self.low - grain, self.high + grain
             occupied_at = self._blocked_at
-        graph = graphs.LatticeGraph.rasterise(
+        return graphs.LatticeGraph.rasterise(
             lambda points: self.free_at(points, unknown),
             lattice,
             low,
@@ -274,9 +274,8 @@ class GridMap:
             neighbourhood=neighbourhood,
             max_cells=graphs.MAX_CELLS if max_cells is None else max_cells,
             occupied_at=occupied_at,
+            boxes=self._blocked_boxes,
         )
-        graph._obstacles.source = self._blocked_boxes
-        return graph
 
     def _blocked_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell for each of points (N, n) whether it lies in a blocked cell of the grid."""
@@ -284,7 +283,7 @@ class GridMap:
 
     def _blocked_boxes(self) -> Boxes:
         """Return the blocked cells as boxes, but for those with blocked cells across all their faces."""
-        from hexmap.graph.clearance import Boxes
+        from hexmap.graph.bodies import Boxes
 
         solid = self.states == BLOCKED
         surface = np.pad(solid, 1)
