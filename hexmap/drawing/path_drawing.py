@@ -31,6 +31,7 @@ from hexmap.drawing.figure_layout import (
     draw_path_captions,
 )
 from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, place_cells, save_page
+from hexmap.lattice.window import IndexBox, box_coordinates
 from hexmap.maps.outlines import ClassTable
 from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
 from hexmap.maps.voxel_list import VoxelList
@@ -162,16 +163,13 @@ def _cells_in_box(
     graph: LatticeGraph, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return index (M, n) and centres (M, n), metres, of the graph's cells whose centre is in a box."""
-    u = (
-        np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(len(low), -1).T
-        @ np.linalg.inv(graph.lattice.basis).T
-    )
+    u = box_coordinates(graph.lattice.basis, low, high)
     first = np.maximum(np.floor(u.min(axis=0)).astype(np.int64), graph.first)
     last = np.minimum(np.ceil(u.max(axis=0)).astype(np.int64), graph.first + graph.inner_shape - 1)
     cells, centres = [np.empty((0, len(low)), np.int64)], [np.empty((0, len(low)))]
+    # Row by row: of a sheared basis's box most cells may lie outside.
     for a in range(first[0], last[0] + 1):
-        rest = [np.arange(start, end + 1) for start, end in zip(first[1:], last[1:], strict=True)]
-        index = np.stack(np.meshgrid([a], *rest, indexing="ij"), axis=-1).reshape(-1, len(low))
+        index = IndexBox.of_corners(np.array([a, *first[1:]]), np.array([a, *last[1:]])).cells()
         at = graph.lattice.centres(index)
         inside = np.all((at >= low) & (at <= high), axis=1)
         cells.append(index[inside])

@@ -35,6 +35,7 @@ from hexmap.drawing.figure_layout import FAINT, _metres, _round_length
 from hexmap.drawing.solids.mesh import Mesh, check_spatial, exposed_faces, height_colours, height_range, mesh_of_cells
 from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
 from hexmap.drawing.solids.renderer import Camera, directions, render
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
 
 __all__ = ["MESH_SUFFIXES", "Cut", "Mesh", "draw_solids", "find_cut", "mesh_of_cells", "save_mesh", "view_solids"]
@@ -94,16 +95,16 @@ def find_cut(cells: VoxelList) -> Cut:
     check_spatial(cells.lattice)
     centres = cells.centres()
     step = 2.0 * cells.lattice.resolution
-    place = np.floor(centres / step + 1e-9).astype(np.int64)
-    place -= place.min(axis=0)
-    spans = place.max(axis=0) + 1
-    column = place[:, 0] * spans[1] + place[:, 1]
-    filled = np.unique(place[:, 2] * (spans[0] * spans[1]) + column) // (spans[0] * spans[1])
-    cover = np.bincount(filled, minlength=int(spans[2])) / len(np.unique(column))
+    blocks = np.floor(centres / step + 1e-9).astype(np.int64)
+    plan = IndexBox.of_cells(blocks[:, :2])
+    column, layer_of = plan.flat(blocks[:, :2]), blocks[:, 2] - blocks[:, 2].min()
+    layers = int(layer_of.max()) + 1
+    filled = np.unique(layer_of * plan.size + column) // plan.size
+    cover = np.bincount(filled, minlength=layers) / len(np.unique(column))
     low, high = np.searchsorted(np.cumsum(cover) / cover.sum(), (0.01, 0.99))
     middle = (int(low) + int(high) + 1) // 2
     # In a solid body the layer below is as full as the ceiling would be.
-    for layer in range(middle + 1, int(spans[2])):
+    for layer in range(middle + 1, layers):
         below = cover[max(layer - 3, 0) : layer - 1]
         if cover[layer] >= _CEILING and len(below) and below.max() < 0.5 * cover[layer]:
             bottom = math.floor(float(centres[:, 2].min()) / step + 1e-9) + layer - 1
