@@ -16,9 +16,18 @@ from hexmap.lattice.window import IndexBox
 from hexmap.maps.outlines import CellCorners, row_numbers
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["Mesh", "check_spatial", "exposed_faces", "height_colours", "height_range", "mesh_of_cells", "outward_rings"]
+__all__ = [
+    "Mesh",
+    "check_spatial",
+    "exposed_faces",
+    "height_colours",
+    "height_range",
+    "linear_light",
+    "mesh_of_cells",
+    "outward_rings",
+]
 
-_STRAYS = 0.005  # part of the cells at either end that is coloured as its neighbours in height are
+_STRAYS = 0.005  # fraction of the cells at either end that is coloured as its neighbours in height are
 _DARKEST = 0.12  # of the colour map
 
 
@@ -135,9 +144,16 @@ def height_colours(heights: NDArray[np.float64], low: float, high: float) -> NDA
     """Return a colour (N, 3), sRGB, for each height, metres; ``low`` and ``high`` are the ends of the colour map."""
     import matplotlib
 
-    part = np.clip((heights - low) / ((high - low) or 1.0), 0.0, 1.0)
+    fraction = np.clip((heights - low) / ((high - low) or 1.0), 0.0, 1.0)
     # Not from the very dark: the shaded sides of the lowest cells would all be black.
-    return np.asarray(matplotlib.colormaps[HEIGHTS](_DARKEST + (1.0 - _DARKEST) * part, bytes=True)[:, :3], np.uint8)
+    colours = matplotlib.colormaps[HEIGHTS](_DARKEST + (1.0 - _DARKEST) * fraction, bytes=True)
+    return np.asarray(colours[:, :3], np.uint8)
+
+
+def linear_light(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return sRGB bytes, an array of any shape, as linear light, 0 to 1."""
+    byte = np.arange(256) / 255.0
+    return np.asarray(np.where(byte <= 0.04045, byte / 12.92, ((byte + 0.055) / 1.055) ** 2.4)[colours])
 
 
 def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
@@ -167,17 +183,17 @@ def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
     fan = np.array([(r[0], r[k], r[k + 1]) for r in rings for k in range(1, len(r) - 1)], np.int64)
     fan_face = np.repeat(np.arange(len(rings)), [len(r) - 2 for r in rings])
     exposed = exposed_faces(cells) if hidden else np.ones((len(cells), len(rings)), np.bool_)
-    owner, part = np.nonzero(exposed[:, fan_face])
+    owner, triangle = np.nonzero(exposed[:, fan_face])
     number, vertices = _corners(cells, exposed, rings)
     first = np.cumsum(exposed.reshape(-1)).reshape(exposed.shape) - 1
     normals = cell.normals / np.linalg.norm(cell.normals, axis=1, keepdims=True)
     heights = cells.centres()[:, 2]
     return Mesh(
         vertices=vertices,
-        triangles=number[owner[:, None], fan[part]],
-        normals=normals[fan_face[part]].astype(np.float32),
+        triangles=number[owner[:, None], fan[triangle]],
+        normals=normals[fan_face[triangle]].astype(np.float32),
         cells=owner.astype(np.int32),
-        faces=first[owner, fan_face[part]].astype(np.int32),
+        faces=first[owner, fan_face[triangle]].astype(np.int32),
         colours=height_colours(heights, *height_range(heights))[owner],
     )
 
