@@ -258,12 +258,11 @@ def _line(shown, depth, what, faces, row, column, wide):
 
 
 @njit(cache=True, nogil=True)
-def _ground_light(ray, eye, ground):
+def _ground_light(ray, eye, level, low, spacing, light):
     """Return the light on the ground where a ray (3,) from the eye meets it, 1 where it does not."""
-    low, spacing, light = ground.low, ground.spacing, ground.light
     if ray[2] == 0.0:
         return 1.0
-    far = (ground.level - eye[2]) / ray[2]
+    far = (level - eye[2]) / ray[2]
     if far <= 0.0:
         return 1.0
     a = (eye[0] + far * ray[0] - low[0]) / spacing
@@ -287,7 +286,10 @@ def resolve(samples, what, light, colours, faces, size, paper, ground, image):
     in lines around it where the cell, ``size`` metres wide, is wide enough in the picture. Elsewhere
     the ``paper`` (3,) is dimmed by the light on the ``ground``.
     """
-    shown, depth, lens, n = samples.shown, samples.depth, samples.lens, samples.per_pixel
+    shown, depth, n = samples.shown, samples.depth, samples.per_pixel
+    focal, cx, cy = samples.lens.focal, samples.lens.cx, samples.lens.cy
+    rotation, eye = samples.lens.rotation, samples.lens.eye
+    level, low, spacing, on_ground = ground.level, ground.low, ground.spacing, ground.light
     height, width = image.shape[:2]
     share = 1.0 / (n * n)
     ray = np.empty(3)
@@ -304,18 +306,18 @@ def resolve(samples, what, light, colours, faces, size, paper, ground, image):
                     if p == NOTHING:
                         empty += 1
                         continue
-                    bright = light[p] * _line(shown, depth, what, faces, i, j, lens.focal / n * size * depth[i, j])
+                    bright = light[p] * _line(shown, depth, what, faces, i, j, focal / n * size * depth[i, j])
                     cell = what[p] // faces
                     red += min(colours[cell, 0] * bright, 1.0)
                     green += min(colours[cell, 1] * bright, 1.0)
                     blue += min(colours[cell, 2] * bright, 1.0)
             if empty:
                 # The ground's light changes slowly: one ray through the middle serves all the pixel's samples.
-                x = ((column + 0.5) * n - lens.cx) / lens.focal
-                y = ((row + 0.5) * n - lens.cy) / lens.focal
+                x = ((column + 0.5) * n - cx) / focal
+                y = ((row + 0.5) * n - cy) / focal
                 for axis in range(3):
-                    ray[axis] = lens.rotation[0, axis] * x + lens.rotation[1, axis] * y + lens.rotation[2, axis]
-                bright = empty * _ground_light(ray, lens.eye, ground)
+                    ray[axis] = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis]
+                bright = empty * _ground_light(ray, eye, level, low, spacing, on_ground)
                 red += paper[0] * bright
                 green += paper[1] * bright
                 blue += paper[2] * bright
