@@ -275,9 +275,7 @@ def _to_body(v, frame, half, grain, normals, heights, edges):
 def to_body(points, shape, out):
     """Write the distance (N,) of each of ``points`` (N, n) to the body ``shape`` around the origin."""
     for i in range(points.shape[0]):
-        out[i] = _to_body(
-            points[i], shape.frame, shape.half, shape.grain, shape.normals, shape.heights, shape.edges
-        )
+        out[i] = _to_body(points[i], shape.frame, shape.half, shape.grain, shape.normals, shape.heights, shape.edges)
 
 
 @njit(cache=True, nogil=True)
