@@ -532,7 +532,7 @@ class LatticeGraph:
         All occupied cells of a map or a list of voxels; of blocked cells only those on the surface,
         which are the ones that can be nearest. Graphs made from this one by ``with_...`` keep them. In
         a graph of a :class:`~hexmap.io.grids.GridMap` clearance "to the cell" is measured from the
-        world's own cells in their place.
+        grid's own cells instead.
         """
         return self._clearance.cells(self)
 
@@ -554,7 +554,7 @@ class LatticeGraph:
                 its centre. Obstacles on the surface have 0, those inside a solid their distance to
                 its surface. "cell" for the distance to the nearest point of any obstacle, of which
                 each fills its closed Voronoi cell, and in a graph of a
-                :class:`~hexmap.io.grids.GridMap` of the world's own blocked squares or cubes, also of
+                :class:`~hexmap.io.grids.GridMap` of the grid's own blocked squares or cubes, also of
                 those that hold no centre. Cells whose centre is in or on an obstacle have 0.
 
         Raises:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,7 @@ from hexmap.lattice.rays import traverse
 
 __all__ = ["least_clearance", "nearest_free_centre", "share_of_line"]
 
-_MANY = 1 << 20  # cells looked at a time
+_MANY = 1 << 20  # cells in a piece
 _STEPS = 24, 12  # to a radius at most, in the plane and in space, of the grid of points within a disc
 
 
@@ -64,7 +65,7 @@ def share_of_line(
     """
     disc = _disc(lattice, radius)
     pieces = [points[:1]]
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         count = max(1, round(math.dist(a, b) / lattice.resolution))
         pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
     line = np.concatenate(pieces)
