@@ -1,4 +1,9 @@
-"""Occupied voxel lists and the maps made of them: counting, fusing, what a cell is, its outline, its metrics."""
+"""Occupied voxel lists and the maps made of them: counting, fusing, what a cell is, its outline, its metrics.
+
+``voxel_list`` is the paper's list, ``counter`` the grid of counts that grows while scans come in, ``builder`` fuses
+scans into a ``map``; ``state_rule`` says what a cell is, ``outlines`` what sets of cells look like, ``metrics`` how
+well a lattice represents points.
+"""
 
 from __future__ import annotations
 

@@ -205,5 +205,3 @@ class Map:
     def __repr__(self) -> str:
         """Show size and lattice."""
         return f"<Map of {len(self.levels[0].hits)} hit cells, {len(self.levels)} levels on {self.lattice!r}>"
-
-

@@ -235,6 +235,6 @@ class VoxelList:
             return self
         low, high = self.index.min(axis=0).astype(np.int64), self.index.max(axis=0).astype(np.int64)
         if (np.abs(low + v) >= self.lattice.limit).any() or (np.abs(high + v) >= self.lattice.limit).any():
-            way = tuple(int(x) for x in v)
-            raise BoundsError(f"a shift by {way} leaves the range of indices, {self.lattice.limit}")
+            moved = tuple(int(x) for x in v)
+            raise BoundsError(f"a shift by {moved} leaves the range of indices, {self.lattice.limit}")
         return VoxelList(self.lattice, self.keys + key_delta(v.astype(np.int64)), self.counts)

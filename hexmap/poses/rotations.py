@@ -31,10 +31,10 @@ def exponential(v: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K))
 
 
-def angles(turns: FloatArray) -> FloatArray:
-    """Return the angle (R,) of each rotation matrix."""
-    trace = np.trace(turns, axis1=1, axis2=2)
-    cosine = trace / 2.0 if turns.shape[1] == 2 else (trace - 1.0) / 2.0
+def angles(rotations: FloatArray) -> FloatArray:
+    """Return the angle (R,), radians, of each of ``rotations`` (R, n, n)."""
+    trace = np.trace(rotations, axis1=1, axis2=2)
+    cosine = trace / 2.0 if rotations.shape[1] == 2 else (trace - 1.0) / 2.0
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 

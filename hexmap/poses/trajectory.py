@@ -155,8 +155,8 @@ class Trajectory:
         wanted = np.atleast_1d(np.asarray(stamps, dtype=np.float64))
         order = np.argsort(self.stamps, kind="stable")
         ordered = self.stamps[order]
-        place = np.searchsorted(ordered, wanted)
-        right, left = np.minimum(place, len(self) - 1), np.maximum(place - 1, 0)
+        after = np.searchsorted(ordered, wanted)
+        right, left = np.minimum(after, len(self) - 1), np.maximum(after - 1, 0)
         to_left, to_right = np.abs(wanted - ordered[left]), np.abs(ordered[right] - wanted)
         use_left = to_left <= to_right
         found = order[np.where(use_left, left, right)].astype(np.int64)
@@ -197,5 +197,3 @@ class Relations:
     def __len__(self) -> int:
         """Return the number of relations."""
         return len(self.from_stamps)
-
-

@@ -176,7 +176,7 @@ def any_angle(
     begin = time.perf_counter()
     if source[0] == target[0]:
         return make_path(graph, source, clearance=clearance, seconds=time.perf_counter() - begin)
-    labels = graph.known_labels()
+    labels = graph.known_components
     if labels is not None and labels[source[0]] != labels[target[0]]:
         raise not_connected(start, goal)
     turning_cells, effort = search_path(graph, int(source[0]), int(target[0]), lazy=lazy, tighten=tighten)

@@ -96,7 +96,7 @@ def astar(
     if (goals == source[0]).any():
         return make_path(graph, source, clearance=clearance, seconds=time.perf_counter() - begin)
     # Answered at once where the components are known already.
-    labels = graph.known_labels()
+    labels = graph.known_components
     if labels is not None and not (labels[goals] == labels[source[0]]).any():
         raise not_connected(start, goal)
     query = _prepare(graph, source, goals, heuristic)

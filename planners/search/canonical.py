@@ -158,7 +158,7 @@ def canonical(
             raise ArgumentError(f"canonical search goes between two cells, not {len(found)} as the {role}")
         ends.append(int(found[0]))
     begin = time.perf_counter()
-    labels = graph.known_labels()
+    labels = graph.known_components
     if ends[0] == ends[1]:
         result = Found(np.array(ends[:1]), 0, 0, 0, 0)
     elif labels is not None and labels[ends[0]] != labels[ends[1]]:

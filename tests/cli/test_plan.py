@@ -456,10 +456,13 @@ def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((own, "--from", 1, "--to", 1, 1), "two or three finite numbers of metres, not '1'"),
         ((own, "--from", 1, 2, 3, 4, "--to", 1, 1), "'1,2,3,4'"),
         ((own, "--from", "here", "--to", 1, 1), "'here'"),
-        ((own, "--from=nan,0", "--to", 1, 1), "'--from': a place takes finite numbers of metres, not nan"),
-        ((own, "--from", 0, 0, "--to", 1, "nan"), "'--to': a place takes finite numbers of metres, not nan"),
-        ((own, "--from", 0, "-Infinity", "--to", 1, 1), "'--from': a place takes finite numbers of metres, not -Inf"),
-        ((own, "--from", 0, 0, "--to", 1, 1e999), "'--to': a place takes finite numbers of metres, not inf"),
+        ((own, "--from=nan,0", "--to", 1, 1), "'--from': a position takes finite numbers of metres, not nan"),
+        ((own, "--from", 0, 0, "--to", 1, "nan"), "'--to': a position takes finite numbers of metres, not nan"),
+        (
+            (own, "--from", 0, "-Infinity", "--to", 1, 1),
+            "'--from': a position takes finite numbers of metres, not -Inf",
+        ),
+        ((own, "--from", 0, 0, "--to", 1, 1e999), "'--to': a position takes finite numbers of metres, not inf"),
         ((own, *way, "--from", 1, 0), "--from is given twice"),
         ((own, "--to=1,0", *way), "--to is given twice"),
         ((own, "--from", 0, "x", "--to", 1, 1), "x"),
@@ -477,7 +480,7 @@ def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((own, *way, "--clearance-reach", 1), "--clearance-weight"),
         ((own, *way, "--whole"), "--picture"),
         ((own, *way, "--radius", "wide"), "--radius"),
-        ((), "world"),
+        ((), "map"),
     ]
     for arguments, word in cases:
         assert word in wrong_usage(capsys, "plan", *arguments), arguments

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError, FileAccessError
-from hexmap.drawing.figure_layout import FREE_COLOUR, NEAR_COLOUR, SHADES, UNKNOWN_COLOUR, Page, thresholds
-from hexmap.drawing.map_drawing import SUFFIXES, draw_map
+from hexmap.drawing.figure_layout import FREE_COLOUR, NEAR_COLOUR, SHADES, UNKNOWN_COLOUR, FigureLayout, thresholds
+from hexmap.drawing.map_drawing import SUFFIXES, draw_map, highest_cells
 from hexmap.drawing.path_drawing import draw_path
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
@@ -154,16 +154,16 @@ def test_every_pixel_well_inside_a_cell_has_the_colour_of_its_state(case: Case, 
     draw_map(map_, tmp_path / "m.png", dpi=100.0)
     image = np.asarray(Image.open(tmp_path / "m.png").convert("RGB"))
     places = np.concatenate([states.occupied.centres(), states.free.centres()])
-    page = Page.around(places, case.lattice, 100.0, False)
-    counts = np.array(page.pixels)
-    pixel = (page.high - page.low) / counts
-    left, bottom = round(page.left * 100), round(page.bottom * 100)
+    layout = FigureLayout.around(places, case.lattice, 100.0, False)
+    counts = np.array(layout.pixels)
+    pixel = (layout.high - layout.low) / counts
+    left, bottom = round(layout.left * 100), round(layout.bottom * 100)
     part = image[image.shape[0] - bottom - counts[1] : image.shape[0] - bottom, left : left + counts[0]][::-1]
     index = np.concatenate([states.occupied.index, states.free.index, np.add(states.free.index, [40, 0])])
     centres = case.lattice.centres(index)
-    inside = ((centres > page.low + 2 * pixel) & (centres < page.high - 2 * pixel)).all(axis=1)
+    inside = ((centres > layout.low + 2 * pixel) & (centres < layout.high - 2 * pixel)).all(axis=1)
     index, centres = index[inside], centres[inside]
-    columns, rows = ((centres - page.low) / pixel).astype(int).T
+    columns, rows = ((centres - layout.low) / pixel).astype(int).T
     colours = part[rows, columns]
     shade = np.searchsorted(thresholds(states.occupied), states.occupied.find(index), side="right")
     wanted = np.array([rgb(c) for c in (UNKNOWN_COLOUR, FREE_COLOUR)])[np.minimum(states.of(index), 1)]
@@ -220,10 +220,8 @@ def test_empty_maps_give_an_empty_picture(case: Case, suffix: str, tmp_path: Pat
 
 @spatial
 def test_the_highest_cell_of_a_column_is_seen(case: Case) -> None:
-    from hexmap.drawing.map_drawing import _tops
-
     occupied = random_map(case.lattice, count=400).state().occupied
-    tops = _tops(occupied).centres
+    tops = highest_cells(occupied).centres
     assert (np.diff(tops[:, 2]) >= 0).all()
     seen = {tuple(np.round(c[:2], 6)): c[2] for c in tops}
     assert len(seen) == len(tops)
@@ -356,14 +354,16 @@ def test_a_picture_of_a_path_shows_true_cells(case: Case, y_down: bool, tmp_path
     line = np.array([[-1.3, 1.3]])
     file = draw_path(line, tmp_path / "p.png", blocked, state_at, extent=corners, whole=True, y_down=y_down, dpi=60.0)
     image = np.rint(255 * imread(file)[:, :, :3]).astype(int)
-    page = Page.around(np.array(corners), lattice, 60.0, False, y_down)
+    layout = FigureLayout.around(np.array(corners), lattice, 60.0, False, y_down)
     known = blocked.flat_to_index(np.flatnonzero(blocked.free | graph.free | 1))
     centres = lattice.centres(known)
     inside = np.all(np.abs(centres) < 1.5, axis=1) & (np.hypot(*(centres - line[0]).T) > 0.35)
     for index, centre in zip(known[inside], centres[inside], strict=True):
-        offset = (centre - page.low) if y_down else (np.array([1, -1]) * (centre - (page.low[0], page.high[1])))
-        column, row = (offset / page.metres_per_inch * 60.0).astype(int)
-        pixel = image[image.shape[0] - round(page.bottom * 60) - page.pixels[1] + row, round(page.left * 60) + column]
+        offset = (centre - layout.low) if y_down else (np.array([1, -1]) * (centre - (layout.low[0], layout.high[1])))
+        column, row = (offset / layout.metres_per_inch * 60.0).astype(int)
+        pixel = image[
+            image.shape[0] - round(layout.bottom * 60) - layout.pixels[1] + row, round(layout.left * 60) + column
+        ]
         state = int(state_at(centre[None])[0])
         near = state == FREE and not blocked.free[blocked.index_to_flat(index[None])[0]]
         wanted = NEAR_COLOUR if near else {UNKNOWN: UNKNOWN_COLOUR, FREE: FREE_COLOUR, OCCUPIED: SHADES[-2]}[state]

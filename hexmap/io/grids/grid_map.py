@@ -16,7 +16,7 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
 
 if TYPE_CHECKING:
-    from hexmap.graph.clearance import Boxes
+    from hexmap.graph.bodies import Boxes
     from hexmap.graph.lattice_graph import LatticeGraph
     from hexmap.graph.moves import Neighbourhood
 
@@ -270,7 +270,7 @@ class GridMap:
         if self.yaw != 0.0 or self.has_unknown:
             low, high = self.low - grain, self.high + grain
             occupied_at = self._occupied_at
-        graph = graphs.LatticeGraph.rasterise(
+        return graphs.LatticeGraph.rasterise(
             lambda points: self.free_at(points, unknown),
             lattice,
             low,
@@ -278,9 +278,8 @@ class GridMap:
             neighbourhood=neighbourhood,
             max_cells=graphs.MAX_CELLS if max_cells is None else max_cells,
             occupied_at=occupied_at,
+            boxes=self._occupied_boxes,
         )
-        graph._obstacles.source = self._occupied_boxes
-        return graph
 
     def _occupied_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell for each of points (N, n) whether it lies in an occupied cell of the grid."""
@@ -288,7 +287,7 @@ class GridMap:
 
     def _occupied_boxes(self) -> Boxes:
         """Return the occupied cells as boxes, but for those with occupied cells across all their faces."""
-        from hexmap.graph.clearance import Boxes
+        from hexmap.graph.bodies import Boxes
 
         solid = self.states == CellState.OCCUPIED.value
         surface = np.pad(solid, 1)

@@ -1074,7 +1074,7 @@ def test_clearance_is_that_to_the_squares_of_the_grid(
         wide = graph.with_clearance(radius, to="cell")
         assert np.array_equal(wide.free[flat] != 0, free & ~(found[flat] < radius * (1 - 1e-9)))
         assert wide.free.sum() == wide.free[flat].sum()
-        monkeypatch.setattr("hexmap.graph.lattice_graph._BALL", 0)
+        monkeypatch.setattr("hexmap.graph.clearance._BALL", 0)
         assert np.array_equal(graph.with_clearance(radius, to="cell").free, wide.free)
         monkeypatch.undo()
         assert np.array_equal(wide.clearance_at(flat, "cell"), found[flat])
