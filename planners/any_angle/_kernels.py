@@ -215,6 +215,9 @@ def plain_cells(free):
 
 
 # ---------------------------------------------------------------------- line of sight
+#
+# The helpers of walk are inlined into it: many lines end after a few cells, and a call that hands over arrays and
+# brings back many numbers would be felt.
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -274,6 +277,27 @@ def _cast_shadow(generators, touch, v, strips):
     return Shadow(major, middle, inner, slope_middle, slope_inner, reach_middle, used, spread)
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _rates(gram, v, major, inner):
+    """Return G v (n,) along the major, the middle and the inner index, 0 where there is no middle, and v G v."""
+    vgv = 0.0
+    along_major = 0.0
+    along_middle = 0.0
+    along_inner = 0.0
+    for i in range(v.shape[0]):
+        rate = 0.0
+        for k in range(v.shape[0]):
+            rate += gram[i, k] * v[k]
+        vgv += rate * v[i]
+        if i == major:
+            along_major = rate
+        elif i == inner:
+            along_inner = rate
+        else:
+            along_middle = rate
+    return along_major, along_middle, along_inner, vgv
+
+
 @njit(cache=True, nogil=True)
 def walk(view, cells, segment, alike):
     """Look at the cells that a segment touches, the ends included, and list them in ``segment.touched`` if it has room.
@@ -315,22 +339,8 @@ def walk(view, cells, segment, alike):
     block_major, block_inner = view.block_strides[major], view.block_strides[inner]
     block_middle = view.block_strides[middle]
 
-    # c G v as a sum over the indices of c: it tells on which side of an end a cell lies.
-    vgv = 0.0
-    rate_major = 0.0
-    rate_middle = 0.0
-    rate_inner = 0.0
-    for i in range(n):
-        rate = 0.0
-        for k in range(n):
-            rate += view.gram[i, k] * v[k]
-        vgv += rate * v[i]
-        if i == major:
-            rate_major = rate
-        elif i == inner:
-            rate_inner = rate
-        else:
-            rate_middle = rate
+    # c G v, which tells on which side of an end a cell lies, as a sum over the indices of c.
+    rate_major, rate_middle, rate_inner, vgv = _rates(view.gram, v, major, inner)
 
     # Layer by layer from one end to the other. The cells around an end reach beyond it by ``margin`` layers, and
     # only so near to an end can the polygon hold cells that the segment does not touch.
