@@ -198,8 +198,13 @@ def primitive_vectors(gram: FloatArray, to_reduced: IntArray, count: int) -> tup
     reduced = reduced[np.gcd.reduce(reduced, axis=1) == 1]
     public = np.rint(reduced @ np.linalg.inv(to_reduced).T).astype(np.int64)
     lengths = norms(public, gram)
-    order = np.lexsort((*public.T[::-1], np.round(lengths / lengths.min(), 8)))
+    order = np.argsort(lengths, kind="stable")
     public, lengths = public[order], lengths[order]
+    # A shell ends where the next length is clearly longer: lengths that are rounded would part some v from -v.
+    shell = np.cumsum(np.concatenate([[False], lengths[1:] > lengths[:-1] * (1 + SAME_LENGTH)]))
+    order = np.lexsort((*public.T[::-1], shell))
+    starts = np.flatnonzero(np.diff(shell, prepend=-1))
+    public, lengths = public[order], np.minimum.reduceat(lengths, starts)[shell]
     last = lengths[min(count, len(lengths)) - 1] * (1 + SAME_LENGTH)
     keep = lengths <= last
     return public[keep], lengths[keep]
