@@ -124,7 +124,10 @@ class ScanMatcher:
             return None
         searched, score, cells, scored = found
         pose = refine(p, searched, lattice, fine or world) if self.refine else searched
-        return Match(pose, score, cells, searched, len(turns) * len(shifts_in_ball(lattice, window.metres)), scored)
+        return Match(
+            pose=pose, searched=searched, score=score, total=cells, bound=score, nodes=scored,
+            candidates=len(turns) * len(shifts_in_ball(lattice, window.metres)), overlap=score / cells,
+        )  # fmt: skip
 
     def _search(
         self,

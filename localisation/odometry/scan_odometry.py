@@ -107,7 +107,7 @@ class ScanMapper:
                 self.unmatched += 1
             else:
                 self.matched += 1
-                self.part_sum += found.part
+                self.part_sum += found.fraction
                 T_map_robot = found.pose
         self.builder.fuse(scan, T_map_robot @ self.mount)
         return T_map_robot
@@ -127,7 +127,7 @@ class ScanMapper:
             found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
             if found is not None and (best is None or found.score > CLEARLY * best.score):
                 best = found
-            if best is not None and best.part >= ENOUGH:
+            if best is not None and best.fraction >= ENOUGH:
                 break
         return best
 
