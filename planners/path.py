@@ -1,4 +1,4 @@
-"""Paths, why there is none, and making paths shorter by line of sight."""
+"""Paths, what they measure, and why there is none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hexmap.base.errors import ArgumentError, HexmapError
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
 
-__all__ = ["NoPath", "Path", "cells_to_flat", "make_path", "measure", "to_cell"]
+__all__ = ["NoPath", "Path", "cells_to_flat", "leg_costs", "make_path", "measure", "not_connected", "to_cell"]
 
 
 class NoPath(HexmapError, ValueError):
@@ -50,7 +50,7 @@ class Path:
         clearance: least distance to an obstacle, metres, where it was asked for.
         expansions: cells whose moves were tried.
         pushes: entries made in the queue.
-        scanned: cells looked at on the way by searches that jump or look along lines, 0 by others.
+        scanned: cells looked at by searches that jump or look along lines, 0 by others.
         seconds: time of the search, without preparing the graph.
         bound: the cost is at most this times the least cost (to 1e-11 of a move).
         goal_reached: false where the path ends in the reachable cell nearest to the goal instead.
@@ -93,12 +93,12 @@ def make_path(
     cells = graph.flat_to_index(flat)
     points = np.ascontiguousarray(graph.lattice.centres(cells), dtype=np.float64)
     length, turning = measure(points)
-    cost = math.fsum(_leg_costs(graph, flat))
+    cost = math.fsum(leg_costs(graph, flat))
     least = None if clearance is None else float(np.asarray(clearance).reshape(-1)[flat].min())
     return Path(cells, points, cost, length, turning, least, int(expansions), int(pushes), int(scanned), seconds, bound)
 
 
-def _leg_costs(graph: LatticeGraph, flat: IntArray) -> NDArray[np.float64]:
+def leg_costs(graph: LatticeGraph, flat: IntArray) -> NDArray[np.float64]:
     """Return what each move along neighbouring ``flat`` cells (M,) costs (M - 1,)."""
     order = np.argsort(graph.offsets)
     legs = graph.lengths[order[np.searchsorted(graph.offsets[order], np.diff(flat))]]
@@ -167,10 +167,8 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
     return flat
 
 
-# ---------------------------------------------------------------------- line of sight
-
-
-def _not_connected(start: ArrayLike, goal: ArrayLike) -> NoPath:
+def not_connected(start: ArrayLike, goal: ArrayLike) -> NoPath:
+    """Return the error that nothing leads from ``start`` (n,) to ``goal``, one cell (n,) or any of many (M, n)."""
     cells = np.atleast_2d(np.asarray(goal))
     to = str(tuple(cells[0].tolist())) if len(cells) == 1 else f"any of {len(cells)} goals"
     return NoPath("not connected", f"nothing leads from {tuple(np.asarray(start).tolist())} to {to}")

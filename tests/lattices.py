@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from hexmap.lattice.lattice import Lattice
 
 JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
+# Set by ``pytest --long`` (tests/conftest.py): more of everything, the same assertions.
+LONG = os.environ.get("HEXMAP_LONG", "0") not in ("", "0")
 # Random points a lattice. Without the compiler the same kernels run a thousand times slower.
 BULK = 100_000 if JIT else 1_000
 # How much of a slow test is worth doing: multiply a count by this.
-PART = 1.0 if JIT else 0.1
+PART = (4.0 if LONG else 1.0) if JIT else (0.2 if LONG else 0.1)
 # Examples a property test tries.
-EXAMPLES = 50 if JIT else 10
+EXAMPLES = (300 if LONG else 50) if JIT else (20 if LONG else 10)
 
 # Gram matrices of the documented bases (A2 axial, D3 (1,0,1) (0,1,1) (0,0,2), D3* (-1,1,1) ...), in
 # units in which they are integers; a resolution only scales them.

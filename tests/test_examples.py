@@ -1,21 +1,28 @@
-"""The examples run as they stand, and the ones in docstrings say what is true."""
+"""Everything that documentation shows is run: the scripts of examples/, docstrings, and the Python of the README."""
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import doctest
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTED = [
-    "hexmap.lattice.lattice", "hexmap.maps.builder", "hexmap.poses.pose", "hexmap.maps.voxel_list",
-    "hexmap.io.trajectories", "hexmap.poses.trajectory", "localisation.evaluation",
-    "localisation.matching.local_matcher",
-]  # fmt: skip
+PACKAGES = ("hexmap", "planners", "localisation")
+DOCUMENTED = sorted(
+    path.relative_to(ROOT)
+    for package in PACKAGES
+    for path in (ROOT / package).rglob("*.py")
+    if ">>>" in path.read_text(encoding="utf-8")
+)
+README = re.findall(r"(?ms)^```python\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.stem)
@@ -25,10 +32,54 @@ def test_an_example_runs(path: Path) -> None:
     assert done.stdout
 
 
-@pytest.mark.parametrize("name", DOCUMENTED)
+def module_of(path: Path) -> str:
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def test_docstrings_have_examples() -> None:
+    assert {path.parts[0] for path in DOCUMENTED} == set(PACKAGES)
+
+
+@pytest.mark.parametrize("name", [module_of(path) for path in DOCUMENTED])
 def test_the_examples_in_docstrings_are_true(name: str) -> None:
+    """Each docstring by itself, with no names but those it imports or makes, as a reader would try it."""
     module = importlib.import_module(name)
-    names = vars(module) | {"math": importlib.import_module("math"), "np": importlib.import_module("numpy")}
-    names |= {k: getattr(importlib.import_module("hexmap"), k) for k in ("Lattice", "Pose", "Scan", "VoxelList")}
-    result = doctest.testmod(module, extraglobs=names)
+    written = (ROOT / f"{module.__file__}").read_text(encoding="utf-8").count(">>>")
+    tests = doctest.DocTestFinder(exclude_empty=True).find(module, globs={})
+    examples = [example for test in tests for example in test.examples]
+    assert len(examples) == written, "some examples stand where they are never run"
+    runner = doctest.DocTestRunner()
+    for test in tests:
+        runner.run(test)
+    skipped = [example for example in examples if example.options.get(doctest.SKIP)]
+    result = runner.summarize(verbose=False)
     assert result.failed == 0
+    assert result.attempted == len(examples) - len(skipped) > 0
+
+
+def test_the_readme_has_python() -> None:
+    assert len(README) >= 2
+
+
+@pytest.mark.parametrize("number", range(len(README)))
+def test_the_imports_of_the_readme_work(number: int) -> None:
+    """What stands below them needs the reader's files; it is Python all the same."""
+    tree = ast.parse(README[number])
+    imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    assert imports
+    exec(compile(ast.Module(imports, []), "README.md", "exec"), {})
+
+
+@pytest.mark.data
+@pytest.mark.long
+def test_the_python_of_the_readme_runs(data_dir: Path, tmp_path: Path) -> None:
+    """From top to bottom, on the files that it names."""
+    (tmp_path / "intel.clf.gz").symlink_to(data_dir / "laser2d" / "intel.clf.gz")
+    (tmp_path / "Complex.3dmap.gz").symlink_to(data_dir / "planning" / "warframe" / "Complex.3dmap.gz")
+    rng = np.random.default_rng(0)
+    names = {"points": rng.uniform(-1.0, 1.0, (100, 3)), "scan": rng.uniform(-1.0, 1.0, (50, 2))}
+    with contextlib.chdir(tmp_path):
+        for block in README:
+            exec(compile(block, "README.md", "exec"), names)
+    assert (tmp_path / "intel.parquet").exists() and len(names["path"]) > 10

@@ -13,11 +13,14 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 from hexmap.base.errors import FileAccessError
+from hexmap.base.text import reason
 
-__all__ = ["atomic_path", "atomic_write"]
+__all__ = ["PathLike", "atomic_path", "atomic_write"]
+
+PathLike: TypeAlias = str | os.PathLike[str]
 
 # What a full or failing disk reports while the body writes; other OSErrors are not about our file.
 _DISK_ERRORS = frozenset(
@@ -25,14 +28,10 @@ _DISK_ERRORS = frozenset(
 )
 
 
-def _reason(error: OSError) -> str:
-    return error.strerror or str(error) or type(error).__name__
-
-
 def _cannot_write(path: Path, error: OSError) -> FileAccessError:
     if isinstance(error, FileNotFoundError):
         return FileAccessError(f"{path}: cannot be written: there is no folder {path.parent}")
-    return FileAccessError(f"{path}: cannot be written: {_reason(error)}")
+    return FileAccessError(f"{path}: cannot be written: {reason(error)}")
 
 
 def _sync_folder(folder: Path) -> None:
@@ -78,6 +77,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Examples:
         >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hexmap.base.atomic_files import atomic_path
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     with atomic_path(Path(folder) / "a.txt") as temporary:
         ...         _ = temporary.write_text("whole")
@@ -119,7 +120,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and not isinstance(error, FileAccessError) and error.errno in _DISK_ERRORS:
-            raise FileAccessError(f"{given}: cannot be written: {_reason(error)}") from error
+            raise FileAccessError(f"{given}: cannot be written: {reason(error)}") from error
         raise
 
 
@@ -142,6 +143,3 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb", encoding: str |
     text_encoding, newline = (None, None) if binary else (encoding or "utf-8", "\n")
     with atomic_path(path) as temporary, open(temporary, mode, encoding=text_encoding, newline=newline) as handle:
         yield handle
-
-
-PathLike = str | os.PathLike[str]

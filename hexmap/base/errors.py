@@ -21,7 +21,7 @@ class LatticeError(HexmapError, ValueError):
 
 
 class ArgumentError(HexmapError, ValueError):
-    """A value given to a function or an option is out of its range or of the wrong shape."""
+    """A value given to a function or an option is out of range or of the wrong shape."""
 
 
 class TooLargeError(HexmapError, MemoryError):

@@ -32,11 +32,11 @@ def planning(
         typer.Argument(help="MovingAI .map, Warframe .3dmap(.gz), ROS .yaml, OctoMap .bt; problems beside them."),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
-    queries: Annotated[int, typer.Option(help="Problems a map, drawn from its file.")] = 200,
+    queries: Annotated[int, typer.Option(help="Problems per map, drawn from its file.")] = 200,
     angles: Annotated[
         str | None, typer.Option(help="Degrees by which the maps are turned.", show_default="0,17,31")
     ] = None,
-    random_angles: Annotated[int | None, typer.Option(help="So many random angles instead.")] = None,
+    random_angles: Annotated[int | None, typer.Option(help="A number of random angles instead.")] = None,
     fractions: Annotated[
         str, typer.Option(help="Resolutions: 2 for half the edge of a source cell, and so on.")
     ] = "2,4",
@@ -57,30 +57,30 @@ def planning(
         if name not in known:
             raise ArgumentError(f"--planners takes {', '.join(known)}, not {name!r}")
     if "astar" not in chosen:
-        raise ArgumentError("--planners needs astar: what others are compared with")
+        raise ArgumentError("--planners needs astar, which the others are compared with")
     if angles is not None and random_angles is not None:
         raise typer.BadParameter("give --angles or --random-angles, not both")
     if random_angles is None:
-        turns = _numbers("0,17,31" if angles is None else angles, "--angles", float)
+        degrees = _numbers("0,17,31" if angles is None else angles, "--angles", float)
     else:
-        turns = _random_angles(random_angles, seed)
+        degrees = _random_angles(random_angles, seed)
     settings = BenchmarkSettings(
         queries=queries,
-        angles=turns,
+        angles=degrees,
         fractions=_numbers(fractions, "--fractions", int),
         max_cells=max_cells, seed=seed, planners=chosen,
     )  # fmt: skip
     if any(output.glob("cases-*.jsonl")):
         say(
             f"{output}: finished cases of an earlier run are kept, with their times; "
-            "without the files cases-*.jsonl all run anew"
+            "remove the files cases-*.jsonl to compute all of them again"
         )
     first_run_note()
-    part = [0.0]
-    with progress_line("planning", lambda: part[0], "cases") as update:
+    fraction = [0.0]
+    with progress_line("planning", lambda: fraction[0], "cases") as update:
 
         def progress(done: int, total: int) -> None:
-            part[0] = done / total
+            fraction[0] = done / total
             update(done)
 
         outcome = planning_benchmark(
@@ -102,7 +102,7 @@ def _numbers(text: str, option: str, kind: Callable[[str], Number]) -> tuple[Num
     """Return the numbers of an option.
 
     Raises:
-        ArgumentError: one of them is none.
+        ArgumentError: one of them is not a number.
     """
     from hexmap.base.errors import ArgumentError
 
@@ -111,7 +111,7 @@ def _numbers(text: str, option: str, kind: Callable[[str], Number]) -> tuple[Num
         try:
             out.append(kind(word))
         except ValueError:
-            raise ArgumentError(f"{option} takes numbers with commas between, not {text!r}") from None
+            raise ArgumentError(f"{option} takes numbers separated by commas, not {text!r}") from None
     return tuple(out)
 
 

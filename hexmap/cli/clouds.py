@@ -94,6 +94,7 @@ def read_cloud(
     from hexmap.base.errors import ArgumentError
     from hexmap.io.clouds.filters import PointFilter
     from hexmap.io.clouds.read_points import read_points
+    from hexmap.io.file_kinds import is_parquet
 
     notes: list[str] = []
     warnings: list[str] = []
@@ -119,31 +120,22 @@ def read_cloud(
     return kept, notes, warnings
 
 
-def is_parquet(path: Path) -> bool:
-    """Tell whether a file begins as Parquet does: then it is a map, or is meant to be one."""
-    try:
-        with path.open("rb") as handle:
-            return handle.read(4) == b"PAR1"
-    except OSError:
-        return False
-
-
 def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:
     from hexmap.base.errors import ArgumentError
     from hexmap.io.map_file import load_map
 
-    world = load_map(path)
-    fine = world.lattice.resolution
+    source = load_map(path)
+    fine = source.lattice.resolution
     if cells is None or cells < 10.0 * fine * (1.0 - 1e-9):
         raise ArgumentError(
             f"{path}: the centres of a map's cells pass for points only where the cells asked for are at least ten "
             f"times its own, {10 * fine:g} m, not {cells} m"
         )
     note = (
-        f"The points are the centres of the {world.lattice.resolution:g} m cells of the map {path.name}, not sensor "
+        f"The points are the centres of the {fine:g} m cells of the map {path.name}, not sensor "
         f"readings: the experiment's cells are {cells / fine:.1f} times as wide."
     )
-    return world.state().occupied.centres(), note
+    return source.state().occupied.centres(), note
 
 
 def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:

@@ -33,10 +33,10 @@ def rotation(
     basis: Annotated[
         list[str] | None, typer.Option(help="A lattice of your own: its generators as x,y;x,y or x,y,z;x,y,z;x,y,z.")
     ] = None,
-    axis: Annotated[str, typer.Option(help="Axis of the turns: x, y or z.")] = "z",
+    axis: Annotated[str, typer.Option(help="Axis of the rotations: x, y or z.")] = "z",
     start: Annotated[float, typer.Option(help="First angle, degrees.")] = 0.0,
     stop: Annotated[float, typer.Option(help="End of the angles, degrees; left out.")] = 180.0,
-    step: Annotated[float, typer.Option(help="Angle between turns, degrees.")] = 5.0,
+    step: Annotated[float, typer.Option(help="Angle between rotations, degrees.")] = 5.0,
     random: Annotated[int, typer.Option(help="Random rotations with shifts.")] = 200,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it.")] = 1,
     seed: clouds.Seed = 0,
@@ -49,9 +49,10 @@ def rotation(
     unique: clouds.Unique = False,
     sample: clouds.Sample = None,
 ) -> None:
-    """Turn a scan and count the cells of every lattice: Table II, Figs 2 to 7, verdicts on the paper's claims."""
+    """Rotate a scan and count the cells of every lattice: Table II, Figs 2 to 7, verdicts on the paper's claims."""
     from hexmap.base.errors import ArgumentError
-    from hexmap.paper.rotation import RotationSettings, rotation_experiment
+    from hexmap.paper.rotation import rotation_experiment
+    from hexmap.paper.rotation_settings import RotationSettings
 
     check_folder(output)
     dim = 2 if area is not None or poses is not None else 3
@@ -72,11 +73,11 @@ def rotation(
     for text in warnings:
         warn(text)
     first_run_note()
-    done_part = [0.0]
-    with progress_line("turning", lambda: done_part[0], "cases") as update:
+    fraction_done = [0.0]
+    with progress_line("rotating", lambda: fraction_done[0], "cases") as update:
 
         def progress(done: int, total: int) -> None:
-            done_part[0] = done / total
+            fraction_done[0] = done / total
             update(done)
 
         report = rotation_experiment(

@@ -36,7 +36,7 @@ Output = Annotated[Path, typer.Option("--output", "-o", help="Where to write it.
 
 
 def simulate(
-    world: Annotated[str, typer.Argument(help="office, castle or room.")],
+    building: Annotated[str, typer.Argument(help="office, castle or room.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The CARMEN log to write (.gz: compressed).")],
     truth: Annotated[Path | None, typer.Option(help="Where to write the true poses (TUM).")] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and drift.")] = 0,
@@ -44,12 +44,12 @@ def simulate(
     duration: Annotated[float | None, typer.Option(help="Stop after so many seconds of the drive.")] = None,
 ) -> None:
     """Simulate a drive through a building: a laser log with odometry that drifts, and the true poses."""
-    from hexmap.simulator.buildings import world as find_world
+    from hexmap.simulator.buildings import make_building
     from hexmap.simulator.laser import Laser
     from hexmap.simulator.writer import write_log
 
     check_outputs({"--output": output, "--truth": truth})
-    summary = write_log(output, find_world(world), truth, laser=Laser(beams=beams), seed=seed, duration=duration)
+    summary = write_log(output, make_building(building), truth, laser=Laser(beams=beams), seed=seed, duration=duration)
     wrote(
         output,
         f"{summary.scans} scans, {summary.odometry} odometry readings, "
@@ -86,7 +86,7 @@ def build(
     search_level: Annotated[int | None, typer.Option(help="Level that the matcher searches on.")] = None,
     odometry: Annotated[bool | None, typer.Option(help="Predict the motion by odometry.", show_default="on")] = None,
     min_hits: Annotated[int | None, typer.Option(help="Hits that make a cell occupied.")] = None,
-    min_ratio: Annotated[float | None, typer.Option(help="Part of hits that makes a cell occupied.")] = None,
+    min_ratio: Annotated[float | None, typer.Option(help="Share of hits that makes a cell occupied.")] = None,
     angle_min: Annotated[float | None, typer.Option(help="Direction of the first beam, degrees.")] = None,
     angle_step: Annotated[float | None, typer.Option(help="Angle between beams, degrees.")] = None,
     no_return: Annotated[float | None, typer.Option(help="Ranges from here on mean no return, m.")] = None,
@@ -174,11 +174,11 @@ def _read_config(path: Path) -> dict[str, Any]:
     import json
 
     from hexmap.base.errors import FileAccessError, FormatError
+    from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map
 
     try:
-        head = path.open("rb").read(4)
-        if head == b"PAR1":
+        if is_parquet(path):
             settings = [s["settings"] for s in load_map(path).sources() if isinstance(s.get("settings"), dict)]
             if len(settings) != 1 and any(s != settings[0] for s in settings):
                 raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")
@@ -335,7 +335,7 @@ def demo(
     from hexmap.io.map_file import load_map
     from hexmap.io.trajectories import read_tum
     from hexmap.poses.trajectory import Trajectory
-    from hexmap.simulator.buildings import world
+    from hexmap.simulator.buildings import make_building
     from hexmap.simulator.writer import write_log
     from localisation.evaluation import absolute_error
     from localisation.settings import MappingSettings
@@ -346,7 +346,7 @@ def demo(
     except OSError as error:
         raise FileAccessError(f"{output}: cannot be made: {error.strerror}") from error
     log, truth = output / "office.clf", output / "office.truth.tum"
-    summary = write_log(log, world("office"), truth, seed=seed)
+    summary = write_log(log, make_building("office"), truth, seed=seed)
     say(f"simulated {summary.metres:.0f} m through an office in {summary.seconds:.0f} s: {summary.scans} scans")
     wrote(log, "CARMEN log")
     wrote(truth, "true poses")
@@ -354,12 +354,12 @@ def demo(
     path, poses, picture = output / "office.parquet", output / "office.tum", output / "office.png"
     _build(open_log(log), settings, path, poses, Readings.all, picture, None, None)
     detail, coarse = output / "office-detail.png", output / "office-coarse.png"
-    world_map = load_map(path)
-    low, high = world_map.bounds() or (np.zeros(2), np.zeros(2))
+    whole = load_map(path)
+    low, high = whole.bounds() or (np.zeros(2), np.zeros(2))
     low = low + 0.35 * (high - low)
-    draw_map(world_map.crop(low, low + 5.0), detail, rule=settings.rule)
+    draw_map(whole.crop(low, low + 5.0), detail, rule=settings.rule)
     wrote(detail, "5 x 5 m of it")
-    draw_map(world_map, coarse, level=2, rule=settings.rule)
+    draw_map(whole, coarse, level=2, rule=settings.rule)
     wrote(coarse, "the coarsest level")
     estimate, reference = read_tum(poses), read_tum(truth)
     wheels = Trajectory.from_poses(*_odometry(log))

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
 LevelOption = Annotated[int, typer.Option(help="Level of the map, 0 is the finest.")]
 MinHits = Annotated[int | None, typer.Option(help="Hits that make a cell occupied.", show_default="as mapped")]
-MinRatio = Annotated[float | None, typer.Option(help="Part of hits that does.", show_default="as mapped")]
+MinRatio = Annotated[
+    float | None, typer.Option(help="Share of hits that makes a cell occupied.", show_default="as mapped")
+]
 
 
 def info(
@@ -31,24 +33,24 @@ def info(
     from hexmap.base.errors import ArgumentError
     from hexmap.io.map_file import load_map
 
-    world = load_map(map)
-    sources = world.sources()
+    loaded = load_map(map)
+    sources = loaded.sources()
     if config:
         settings = [s["settings"] for s in sources if isinstance(s.get("settings"), dict)]
         if not settings or any(s != settings[0] for s in settings):
             raise ArgumentError(f"{map}: made with {len(settings)} configurations, not with one")
         say(json.dumps(settings[0], indent=2))
         return
-    lattice = world.lattice
-    say(f"{map}: a map on the {lattice.title} lattice ({lattice.name}), frame {world.frame!r}")
+    lattice = loaded.lattice
+    say(f"{map}: a map on the {lattice.title} lattice ({lattice.name}), frame {loaded.frame!r}")
     say("level  resolution    hit cells       hits  passed cells      occupied          free")
-    for k, level in enumerate(world.levels):
-        states = world.state(rule_of(None, None, world.sources()), level=k)
+    for k, level in enumerate(loaded.levels):
+        states = loaded.state(rule_of(None, None, loaded.sources()), level=k)
         say(
             f"{k:5d}  {level.lattice.resolution:8.4g} m {len(level.hits):12,d} {level.hits.total:10,d} "
             f"{len(level.passes):13,d} {len(states.occupied):13,d} {len(states.free):13,d}"
         )
-    corners = world.bounds()
+    corners = loaded.bounds()
     if corners is not None:
         say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
     for source in sources:
@@ -110,23 +112,24 @@ def show(
 ) -> None:
     """Draw a map with its true cells, or points in space as shaded polyhedra."""
     from hexmap.base.errors import ArgumentError
+    from hexmap.io.file_kinds import is_parquet
 
     if output is None and not viewer:
         raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
     check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
     about_points = lattice is not None or volume is not None or resolution is not None
-    if not about_points and clouds.is_parquet(source) and not viewer:
+    if not about_points and is_parquet(source) and not viewer:
         assert output is not None
         _show_map(source, output, level, trajectory, min_hits, min_ratio)
         return
     size = clouds.cell_size(resolution, volume, None, 3)
-    if clouds.is_parquet(source):
+    if is_parquet(source):
         if about_points:
             raise ArgumentError(f"{source}: a map has its lattice; --lattice, --volume and --resolution are for points")
         from hexmap.io.map_file import load_map
 
-        world = load_map(source)
-        cells = world.state(rule_of(min_hits, min_ratio, world.sources()), level=level).occupied
+        loaded = load_map(source)
+        cells = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level=level).occupied
     else:
         if size is None:
             raise ArgumentError(f"{source}: say how large the cells of points are: --volume or --resolution")
@@ -145,10 +148,10 @@ def _show_map(
     from hexmap.io.trajectories import read_tum
 
     check_picture(output)
-    world = load_map(map)
-    way = read_tum(trajectory) if trajectory is not None else None
-    draw_map(world, output, level=level, trajectory=way, rule=rule_of(min_hits, min_ratio, world.sources()))
-    wrote(output, f"level {level}, {world.level(level).lattice.resolution:g} m")
+    loaded = load_map(map)
+    poses = read_tum(trajectory) if trajectory is not None else None
+    draw_map(loaded, output, level=level, trajectory=poses, rule=rule_of(min_hits, min_ratio, loaded.sources()))
+    wrote(output, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
 
 
 def _cells_of_points(source: Path, lattice: str | None, size: float, **reading: Any) -> VoxelList:
@@ -198,9 +201,9 @@ def export(
 
     image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
     check_outputs({"--output": output, "the image of --output": image}, (map,))
-    world = load_map(map)
-    for path in export_map(world, output, level=level, rule=rule_of(min_hits, min_ratio, world.sources())):
-        wrote(path, f"level {level}, {world.level(level).lattice.resolution:g} m")
+    loaded = load_map(map)
+    for path in export_map(loaded, output, level=level, rule=rule_of(min_hits, min_ratio, loaded.sources())):
+        wrote(path, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
 
 
 def rule_of(min_hits: int | None, min_ratio: float | None, sources: list[dict[str, object]]) -> StateRule:

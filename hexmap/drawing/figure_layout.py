@@ -1,4 +1,4 @@
-"""The page that a map is drawn on: how it is laid out, its colours, captions and legend."""
+"""The figure that a map is drawn in: how it is laid out, its colours, captions and legend."""
 
 from __future__ import annotations
 
@@ -25,9 +25,11 @@ __all__ = [
     "PATH_COLOUR",
     "SHADES",
     "UNKNOWN_COLOUR",
-    "Page",
+    "FigureLayout",
     "draw_captions",
     "draw_path_captions",
+    "metres_text",
+    "round_length",
     "thresholds",
 ]
 
@@ -47,8 +49,8 @@ _MAX_PIXELS = 50_000_000
 
 
 @dataclass(frozen=True)
-class Page:
-    """Where the map lies on the page: inches, the box it shows in metres, and whole pixels.
+class FigureLayout:
+    """Where the map lies in its figure: inches, the box it shows in metres, and whole pixels.
 
     ``below`` is room for something else under the map, inches; ``y_down`` puts the low y at the top.
     """
@@ -65,16 +67,28 @@ class Page:
     @classmethod
     def around(
         cls,
-        places: NDArray[np.float64],
+        positions: NDArray[np.float64],
         lattice: Lattice,
         dpi: float,
         titled: bool,
         y_down: bool = False,
         shrink: float = 1.0,
-    ) -> Page:
-        """Fit a page around ``places`` (N, 2), with some room and not too far from a square."""
-        if len(places):
-            low, high = places.min(axis=0), places.max(axis=0)
+    ) -> FigureLayout:
+        """Fit a figure around ``positions`` (N, 2), metres, with some room and not too far from a square.
+
+        Args:
+            positions: what must be seen.
+            lattice: of the cells, whose size gives the room.
+            dpi: pixels an inch.
+            titled: whether there is a title above the map.
+            y_down: whether low y is at the top.
+            shrink: 1 makes the longer side of the map 8 inches.
+
+        Raises:
+            ArgumentError: the figure would have too many pixels.
+        """
+        if len(positions):
+            low, high = positions.min(axis=0), positions.max(axis=0)
         else:
             low, high = np.full(2, -10.0) * lattice.resolution, np.full(2, 10.0) * lattice.resolution
         room = 2.0 * lattice.covering_radius + 0.02 * float((high - low).max())
@@ -139,13 +153,18 @@ def thresholds(occupied: VoxelList) -> NDArray[np.int64]:
 
 
 def draw_captions(
-    figure: Any, page: Page, states: States, heights: tuple[float, float] | None, with_path: bool, title: str | None
+    figure: Any,
+    layout: FigureLayout,
+    states: States,
+    heights: tuple[float, float] | None,
+    with_path: bool,
+    title: str | None,
 ) -> None:
     """Write the title, the scale bar, the legend and what the map is, and frame it."""
     lattice, known = states.occupied.lattice, f"{len(states.occupied):,} occupied"
     flat = lattice.dim == 2
     known += f", {len(states.free):,} free cells" if flat else " cells, seen from above"
-    legend = _draw_sheet(figure, page, title, f"{_lattice_words(lattice)}; {known}")
+    legend = _draw_sheet(figure, layout, title, f"{_lattice_words(lattice)}; {known}")
     if flat:
         legend.add_states(states)
     elif heights is not None:
@@ -156,7 +175,7 @@ def draw_captions(
 
 def draw_path_captions(
     figure: Any,
-    page: Page,
+    layout: FigureLayout,
     lattice: Lattice,
     kinds: list[tuple[str, str]],
     title: str | None,
@@ -164,7 +183,7 @@ def draw_path_captions(
     goal_missed: bool,
 ) -> None:
     """Write what surrounds the picture of a path; ``kinds`` are the names and colours of its cells."""
-    legend = _draw_sheet(figure, page, title, "; ".join(filter(None, (_lattice_words(lattice), words))))
+    legend = _draw_sheet(figure, layout, title, "; ".join(filter(None, (_lattice_words(lattice), words))))
     legend.add_kinds(kinds, lattice)
     if goal_missed:
         legend.add_cross("goal, not reached")
@@ -172,27 +191,27 @@ def draw_path_captions(
 
 
 def _lattice_words(lattice: Lattice) -> str:
-    return f"{lattice.title} lattice, resolution {_metres(lattice.resolution)}"
+    return f"{lattice.title} lattice, resolution {metres_text(lattice.resolution)}"
 
 
-def _draw_sheet(figure: Any, page: Page, title: str | None, words: str) -> _Legend:
+def _draw_sheet(figure: Any, layout: FigureLayout, title: str | None, words: str) -> _Legend:
     """Write the title, the scale bar and a line of small print, frame the map, and return its legend."""
     from matplotlib.patches import Rectangle
 
     sheet = figure.add_axes((0, 0, 1, 1))
-    sheet.set_xlim(0, page.width)
-    sheet.set_ylim(0, page.height)
+    sheet.set_xlim(0, layout.width)
+    sheet.set_ylim(0, layout.height)
     sheet.set_axis_off()
-    w, h = (page.high - page.low) / page.metres_per_inch
-    sheet.add_patch(Rectangle((page.left, page.bottom), w, h, facecolor="none", edgecolor=FRAME, linewidth=0.6))
-    left, right = _MARGIN, page.width - _MARGIN
+    w, h = (layout.high - layout.low) / layout.metres_per_inch
+    sheet.add_patch(Rectangle((layout.left, layout.bottom), w, h, facecolor="none", edgecolor=FRAME, linewidth=0.6))
+    left, right = _MARGIN, layout.width - _MARGIN
     if title is not None:
-        sheet.text(left, page.height - 0.5 * _HEAD, title, fontsize=10.5, color=_TEXT, va="center")
+        sheet.text(left, layout.height - 0.5 * _HEAD, title, fontsize=10.5, color=_TEXT, va="center")
     row = 0.62 * _FOOT
-    metres = _round_length(0.2 * (page.high[0] - page.low[0]))
-    bar = metres / page.metres_per_inch
+    metres = round_length(0.2 * (layout.high[0] - layout.low[0]))
+    bar = metres / layout.metres_per_inch
     sheet.plot([left, left, left + bar, left + bar], [row + 0.05, row, row, row + 0.05], color=_TEXT, linewidth=1.1)
-    sheet.text(left + bar + 0.07, row, _metres(metres), fontsize=7.5, color=_TEXT, va="center")
+    sheet.text(left + bar + 0.07, row, metres_text(metres), fontsize=7.5, color=_TEXT, va="center")
     sheet.text(left, 0.24 * _FOOT, words, fontsize=7, color=FAINT, va="center")
     return _Legend(sheet, right, row)
 
@@ -233,7 +252,7 @@ class _Legend:
 
     def add_heights(self, low: float, high: float) -> None:
         """Add the colours of heights from ``low`` to ``high``, metres."""
-        self._text(_metres(high), 0.06)
+        self._text(metres_text(high), 0.06)
         width = 1.1
         box = (self._x - width, self._x, self._row - 0.05, self._row + 0.05)
         ramp = np.linspace(0.0, 1.0, 128)[None]
@@ -241,7 +260,7 @@ class _Legend:
         self._sheet.set_xlim(0, self._sheet.figure.get_figwidth())
         self._sheet.set_ylim(0, self._sheet.figure.get_figheight())
         self._x -= width + 0.06
-        self._text(f"height {_metres(low)}", 0.18)
+        self._text(f"height {metres_text(low)}", 0.18)
 
     def add_kinds(self, kinds: list[tuple[str, str]], lattice: Lattice) -> None:
         """Add kinds of cells by name and colour."""
@@ -253,7 +272,7 @@ class _Legend:
             self._x -= 0.12
 
     def add_cross(self, name: str) -> None:
-        """Add the mark of a place that was not reached."""
+        """Add the mark of a position that was not reached."""
         self._text(name, 0.1)
         self._sheet.plot([self._x], [self._row], marker="x", markersize=4.5, markeredgecolor=PATH_COLOUR)
         self._x -= 0.15
@@ -270,13 +289,13 @@ class _Legend:
             self._sheet.plot([x], [self._row], **mark)
 
 
-def _round_length(metres: float) -> float:
+def round_length(metres: float) -> float:
     """Return the longest of 1, 2, 5, 10, ... times a power of ten that is no longer than ``metres``."""
     power = 10.0 ** math.floor(math.log10(metres))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= metres * (1 + 1e-9))
 
 
-def _metres(length: float) -> str:
+def metres_text(length: float) -> str:
     """Return a length as it is read: kilometres and centimetres only where metres would be clumsy."""
     rounded = float(f"{length:.3g}") + 0.0
     text = f"{rounded / 1000.0:g} km" if abs(rounded) >= 10_000 else f"{rounded:g} m"

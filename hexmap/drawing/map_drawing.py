@@ -28,7 +28,7 @@ from hexmap.drawing.figure_layout import (
     PATH_COLOUR,
     SHADES,
     UNKNOWN_COLOUR,
-    Page,
+    FigureLayout,
     draw_captions,
     thresholds,
 )
@@ -41,7 +41,7 @@ from hexmap.maps.voxel_list import VoxelList
 if TYPE_CHECKING:
     from hexmap.poses.trajectory import Trajectory
 
-__all__ = ["SUFFIXES", "check_picture", "draw_map"]
+__all__ = ["SUFFIXES", "HighestCells", "check_picture", "draw_map", "highest_cells"]
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -97,31 +97,33 @@ def draw_map(
     if not 10.0 <= dpi <= 5000.0:
         raise ArgumentError(f"a picture has 10 to 5000 pixels an inch, not {dpi:g}")
     states = map.state(rule, level)
-    positions = _positions(trajectory)
-    tops = _tops(states.occupied) if states.occupied.lattice.dim == 3 else None
-    page = Page.around(_places(states, tops, positions), states.occupied.lattice, dpi, title is not None)
+    positions = _trajectory_positions(trajectory)
+    highest = highest_cells(states.occupied) if states.occupied.lattice.dim == 3 else None
+    layout = FigureLayout.around(
+        _shown_positions(states, highest, positions), states.occupied.lattice, dpi, title is not None
+    )
 
     def draw(figure: Any, axes: Any) -> None:
-        if tops is not None:
-            _draw_tops(axes, page, tops)
+        if highest is not None:
+            _draw_highest(axes, layout, highest)
         elif suffix == ".png":
-            _draw_pixels(figure, page, states)
+            _draw_states_as_pixels(figure, layout, states)
         else:
             _draw_outlines(axes, states)
-        if tops is None:
-            _draw_cell_edges(axes, page, states)
+        if highest is None:
+            _draw_cell_edges(axes, layout, states)
         draw_line(axes, positions)
-        if len(states.occupied) + (len(states.free) if tops is None else 0) == 0:
-            words = "empty map: no cell is occupied" + (" or free" if tops is None else "")
+        if len(states.occupied) + (len(states.free) if highest is None else 0) == 0:
+            words = "empty map: no cell is occupied" + (" or free" if highest is None else "")
             axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", color=FAINT, fontsize=11)
-        draw_captions(figure, page, states, tops.heights if tops else None, len(positions) > 0, title)
+        draw_captions(figure, layout, states, highest.heights if highest else None, len(positions) > 0, title)
 
-    save_page(page, path, draw)
+    save_figure(layout, path, draw)
     return path
 
 
-def save_page(page: Page, path: Path, draw: Callable[[Any, Any], None]) -> None:
-    """Write a page into a file of a known suffix; ``draw`` takes the figure and the axes of the map."""
+def save_figure(layout: FigureLayout, path: Path, draw: Callable[[Any, Any], None]) -> None:
+    """Write a figure into a file of a known suffix; ``draw`` takes the figure and the axes of the map."""
     import matplotlib
     from matplotlib import style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -130,11 +132,11 @@ def save_page(page: Page, path: Path, draw: Callable[[Any, Any], None]) -> None:
     suffix = path.suffix.lower()
     # The user's own style must not leak in, nor ours out; the salt makes ids in SVG repeatable.
     with style.context("default", after_reset=True), matplotlib.rc_context(_SETTINGS):
-        figure = Figure(figsize=(page.width, page.height), dpi=page.dpi, facecolor="white")
+        figure = Figure(figsize=(layout.width, layout.height), dpi=layout.dpi, facecolor="white")
         FigureCanvasAgg(figure)
-        draw(figure, page.add_axes(figure))
+        draw(figure, layout.add_axes(figure))
         buffer = io.BytesIO()
-        figure.savefig(buffer, format=suffix[1:], dpi=page.dpi, metadata=_METADATA[suffix])
+        figure.savefig(buffer, format=suffix[1:], dpi=layout.dpi, metadata=_METADATA[suffix])
     content = buffer.getvalue()
     with atomic_write(path) as handle:
         handle.write(_shorten(content) if suffix == ".svg" else content)
@@ -158,7 +160,7 @@ _METADATA: dict[str, dict[str, None]] = {
 
 
 @dataclass(frozen=True)
-class _Tops:
+class HighestCells:
     """The highest occupied cell of each column, from the lowest to the highest."""
 
     lattice: Lattice
@@ -172,7 +174,8 @@ class _Tops:
         return float(self.centres[0, 2]), float(self.centres[-1, 2])
 
 
-def _tops(occupied: VoxelList) -> _Tops:
+def highest_cells(occupied: VoxelList) -> HighestCells:
+    """Return the highest cell of each column; cells are in one column where their x and y agree to a millionth."""
     lattice, centres = occupied.lattice, occupied.centres()
     if len(centres):
         column = np.round(centres[:, :2] / (1e-6 * lattice.resolution)).astype(np.int64)
@@ -182,10 +185,10 @@ def _tops(occupied: VoxelList) -> _Tops:
         centres = centres[order[first]]
         # Painted in this order a higher cell hides what it is above.
         centres = centres[np.argsort(centres[:, 2], kind="stable")]
-    return _Tops(lattice, centres)
+    return HighestCells(lattice, centres)
 
 
-def _positions(trajectory: Trajectory | ArrayLike | None) -> NDArray[np.float64]:
+def _trajectory_positions(trajectory: Trajectory | ArrayLike | None) -> NDArray[np.float64]:
     """Return the positions (N, 2), metres, of what was given as a trajectory."""
     if trajectory is None:
         return np.empty((0, 2))
@@ -198,9 +201,11 @@ def _positions(trajectory: Trajectory | ArrayLike | None) -> NDArray[np.float64]
     return np.where(finite[:, None], positions[:, :2], np.nan) if finite.any() else np.empty((0, 2))
 
 
-def _places(states: States, tops: _Tops | None, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return all places (N, 2), metres, that the picture must show."""
-    cells = [tops.centres] if tops is not None else [states.occupied.centres(), states.free.centres()]
+def _shown_positions(
+    states: States, highest: HighestCells | None, positions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return all positions (N, 2), metres, that the picture must show."""
+    cells = [highest.centres] if highest is not None else [states.occupied.centres(), states.free.centres()]
     finite = positions[np.isfinite(positions).all(axis=1)]
     return np.concatenate([*(c[:, :2] for c in cells), finite])
 
@@ -215,18 +220,18 @@ def _shades(occupied: VoxelList) -> NDArray[np.int64]:
 # ---------------------------------------------------------------------- cells of the plane
 
 
-def _draw_pixels(figure: Any, page: Page, states: States) -> None:
+def _draw_states_as_pixels(figure: Any, layout: FigureLayout, states: States) -> None:
     """Put the exact image of the map onto the figure, pixel by pixel."""
     occupied, free = states.occupied, states.free
     shades = (_shades(occupied) + 2).astype(np.uint8)
     table = ClassTable(occupied.lattice, [(free, np.ones(len(free), np.uint8)), (occupied, shades)])
     colours = (UNKNOWN_COLOUR, FREE_COLOUR, *SHADES)
-    place_cells(figure, page, table, colours, occupied.centres(), shades)
+    draw_pixels(figure, layout, table, colours, occupied.centres(), shades)
 
 
-def place_cells(
+def draw_pixels(
     figure: Any,
-    page: Page,
+    layout: FigureLayout,
     table: ClassTable,
     colours: tuple[str, ...],
     walls: NDArray[np.float64],
@@ -240,10 +245,10 @@ def place_cells(
     from matplotlib.colors import to_rgb
 
     palette = 255.0 * np.array([to_rgb(colour) for colour in colours], np.float32)
-    (width, height), n = page.pixels, _SUPERSAMPLING
-    pixel = (page.high[0] - page.low[0]) / width
-    xs = page.low[0] + (np.arange(width * n) + 0.5) * (pixel / n)
-    top, step = (page.low[1], pixel) if page.y_down else (page.high[1], -pixel)
+    (width, height), n = layout.pixels, _SUPERSAMPLING
+    pixel = (layout.high[0] - layout.low[0]) / width
+    xs = layout.low[0] + (np.arange(width * n) + 0.5) * (pixel / n)
+    top, step = (layout.low[1], pixel) if layout.y_down else (layout.high[1], -pixel)
     ys = top + (np.arange(height * n) + 0.5) * (step / n)
     image = np.empty((height, width, 3), np.uint8)
     for rows, points in pixel_rows(xs, ys, n):
@@ -255,14 +260,14 @@ def place_cells(
         image[rows.start // n : rows.stop // n] = np.rint(total / (n * n))
     if table.lattice.resolution < 2.0 * pixel and len(walls):
         # A wall of one cell must not fade away on a small picture of a large map.
-        at = (walls - (page.low[0], top)) / (pixel, step)
+        at = (walls - (layout.low[0], top)) / (pixel, step)
         columns, lines = np.clip(at.astype(np.int64), 0, (width - 1, height - 1)).T
         ink = np.rint(palette[classes]).astype(np.uint8)
         np.minimum.at(image, (lines, columns), ink)
-    _place_image(figure, image, round(page.left * page.dpi), round(page.bottom * page.dpi))
+    _put_image(figure, image, round(layout.left * layout.dpi), round(layout.bottom * layout.dpi))
 
 
-def _place_image(figure: Any, image: NDArray[np.uint8], x: int, y: int) -> None:
+def _put_image(figure: Any, image: NDArray[np.uint8], x: int, y: int) -> None:
     """Put an image (H, W, 3), top row first, behind all else, its lower left corner at pixel (x, y).
 
     ``Figure.figimage`` would do, but resamples in floating point on the way, in some 250 MB.
@@ -319,19 +324,24 @@ def _patch(rings: Rings, colour: str) -> Any:
     return PathPatch(Curve(vertices, codes), facecolor=colour, edgecolor="none", linewidth=0)
 
 
-def _draw_cell_edges(axes: Any, page: Page, states: States) -> None:
+def _draw_cell_edges(axes: Any, layout: FigureLayout, states: States) -> None:
     """Draw the edges of single cells where they are large enough to be seen as cells."""
     lattice = states.occupied.lattice
-    if lattice.resolution < _OUTLINED_WIDTH * page.metres_per_inch:
+    if lattice.resolution < _OUTLINED_WIDTH * layout.metres_per_inch:
         return
     if len(states.occupied) + len(states.free) > _OUTLINED_CELLS:
         return
     for cells, colour in ((states.free, UNKNOWN_COLOUR), (states.occupied, FREE_COLOUR)):
-        add_cells(axes, page, lattice, cells.centres(), facecolors="none", edgecolors=colour, linewidths=0.4)
+        add_cells(axes, layout, lattice, cells.centres(), facecolors="none", edgecolors=colour, linewidths=0.4)
 
 
 def add_cells(
-    axes: Any, page: Page, lattice: Lattice, centres: NDArray[np.float64], seen: tuple[int, int] = (0, 1), **style: Any
+    axes: Any,
+    layout: FigureLayout,
+    lattice: Lattice,
+    centres: NDArray[np.float64],
+    seen: tuple[int, int] = (0, 1),
+    **style: Any,
 ) -> None:
     """Add the cell's silhouette at each of the centres (N, n), metres, along the two axes that are seen."""
     from matplotlib.collections import PathCollection
@@ -342,44 +352,44 @@ def add_cells(
     shape = Curve(np.vstack([corners, corners[:1]]), closed=True)
     cells = PathCollection([shape], offsets=centres[:, seen], offset_transform=axes.transData, **style)
     # In inches, not through the axes' own transform, so that it holds at any resolution of the output.
-    scale = 1.0 / page.metres_per_inch
-    cells.set_transform(Affine2D().scale(scale, -scale if page.y_down else scale) + axes.figure.dpi_scale_trans)
+    scale = 1.0 / layout.metres_per_inch
+    cells.set_transform(Affine2D().scale(scale, -scale if layout.y_down else scale) + axes.figure.dpi_scale_trans)
     axes.add_collection(cells, autolim=False)
 
 
 # ---------------------------------------------------------------------- cells of space
 
 
-def _draw_tops(axes: Any, page: Page, tops: _Tops) -> None:
+def _draw_highest(axes: Any, layout: FigureLayout, highest: HighestCells) -> None:
     """Draw the highest occupied cells as they are seen from above."""
     import matplotlib
     from matplotlib.patches import Rectangle
 
-    size = page.high - page.low
-    axes.add_patch(Rectangle(tuple(page.low), size[0], size[1], facecolor=UNKNOWN_COLOUR, linewidth=0))
-    if tops.heights is None:
+    size = layout.high - layout.low
+    axes.add_patch(Rectangle(tuple(layout.low), size[0], size[1], facecolor=UNKNOWN_COLOUR, linewidth=0))
+    if highest.heights is None:
         return
-    low, high = tops.heights
-    part = (tops.centres[:, 2] - low) / ((high - low) or 1.0)
-    points = 72.0 * tops.lattice.resolution / page.metres_per_inch
-    faces = matplotlib.colormaps[HEIGHTS](part)
+    low, high = highest.heights
+    fraction = (highest.centres[:, 2] - low) / ((high - low) or 1.0)
+    points = 72.0 * highest.lattice.resolution / layout.metres_per_inch
+    faces = matplotlib.colormaps[HEIGHTS](fraction)
     # Edges are opaque: through translucent ones the seams between neighbours would shine.
     edges = faces * (0.72, 0.72, 0.72, 1.0)
     width = min(0.35, 0.05 * points)
-    add_cells(axes, page, tops.lattice, tops.centres, facecolors=faces, edgecolors=edges, linewidths=width)
+    add_cells(axes, layout, highest.lattice, highest.centres, facecolors=faces, edgecolors=edges, linewidths=width)
 
 
-# ---------------------------------------------------------------------- the rest of the page
+# ---------------------------------------------------------------------- the line of the robot
 
 
 def draw_line(axes: Any, positions: NDArray[np.float64], width: float = 0.9) -> None:
-    """Draw the way of the robot, ``width`` points wide: a ring where it starts, a disc where it ends."""
+    """Draw the path of the robot, ``width`` points wide: a ring where it starts, a disc where it ends."""
     if len(positions) == 0:
         return
     axes.plot(*positions.T, color="white", linewidth=width + 1.3, alpha=0.7, solid_capstyle="round", zorder=5)
     line = dict(color=PATH_COLOUR, linewidth=width, solid_capstyle="round", solid_joinstyle="round")
     axes.plot(*positions.T, **line, zorder=6)
     ends = positions[np.isfinite(positions).all(axis=1)]
-    for place, face, size in ((ends[0], "white", 5.5), (ends[-1], PATH_COLOUR, 5.5)):
+    for position, face, size in ((ends[0], "white", 5.5), (ends[-1], PATH_COLOUR, 5.5)):
         mark = dict(marker="o", markersize=size, markerfacecolor=face, markeredgecolor=PATH_COLOUR, markeredgewidth=1.2)
-        axes.plot(*place, **mark, zorder=7)
+        axes.plot(*position, **mark, zorder=7)

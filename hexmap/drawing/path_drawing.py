@@ -1,4 +1,4 @@
-"""Pictures of paths: the cells that were searched and the way through them.
+"""Pictures of paths: the cells that were searched and the path through them.
 
 In the plane the true cells are drawn as :mod:`hexmap.drawing` draws those of maps. Paths in space
 are seen from above and from the front; there the obstacles as high as the path beside them (from
@@ -27,12 +27,13 @@ from hexmap.drawing.figure_layout import (
     PATH_COLOUR,
     SHADES,
     UNKNOWN_COLOUR,
-    Page,
+    FigureLayout,
     draw_path_captions,
 )
-from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, place_cells, save_page
+from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, draw_pixels, save_figure
+from hexmap.lattice.window import IndexBox, box_coordinates
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.outlines import ClassTable
-from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
 from hexmap.maps.voxel_list import VoxelList
 
 if TYPE_CHECKING:
@@ -43,9 +44,9 @@ __all__ = ["draw_path"]
 Corners: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 _WALL = SHADES[-2]
-_NEAR = 3  # after UNKNOWN, FREE and OCCUPIED
+_NEAR = 3  # after the states
 _COLOURS = (UNKNOWN_COLOUR, FREE_COLOUR, _WALL, NEAR_COLOUR)
-_MARGIN, _MARGIN_CELLS = 0.15, 8  # around the path, in parts of its longer side and in cells at least
+_MARGIN, _MARGIN_CELLS = 0.15, 8  # around the path, as a fraction of its longer side, and in cells at least
 _GAP = 0.22  # inches between the two views
 _TALLEST = 9.0  # inches of both views together
 _LEAST_HEIGHT = 0.6  # inches of the view from the front
@@ -74,9 +75,9 @@ def draw_path(
         points: the path (M, n), metres.
         path: ``.png``, ``.svg`` or ``.pdf``.
         graph: that was searched; its free cells are drawn as free.
-        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (the
-            constants of :mod:`hexmap.maps`). Cells that are free by it and blocked in the graph are
-            drawn as too near to an obstacle. Where none is given, what is not free is occupied.
+        state_at: returns the :class:`~hexmap.maps.CellState` (N,) of points (N, n), metres. Cells that are
+            free by it and blocked in the graph are drawn as too near to an obstacle. Where none is given, what
+            is not free is occupied.
         goal: where the path should have led (n,), metres, if it ends elsewhere; left out beyond the extent.
         extent: low and high corner (n,), metres, of what the source of the graph covers; no cell beyond is
             drawn. All free cells where none is given.
@@ -112,11 +113,11 @@ def draw_path(
     box = _box(graph, seen, covered, whole)
     scene: _Plane | _Space
     if n == 2:
-        page = Page.around(np.array(box), graph.lattice, dpi, title is not None, y_down)
-        scene = _Plane(graph, state_at, page, covered)
+        layout = FigureLayout.around(np.array(box), graph.lattice, dpi, title is not None, y_down)
+        scene = _Plane(graph, state_at, layout, covered)
     else:
         scene = _Space(graph, state_at, line, box, covered, dpi, title is not None)
-    page = scene.page
+    layout = scene.layout
 
     def draw(figure: Any, axes: Any) -> None:
         scene.draw(figure, axes, suffix)
@@ -126,9 +127,9 @@ def draw_path(
             if target is not None:
                 mark = dict(marker="x", markersize=6.5, markeredgecolor=PATH_COLOUR, markeredgewidth=1.6)
                 view.plot(*target[list(columns)], **mark, zorder=8)
-        draw_path_captions(figure, page, graph.lattice, scene.kinds, title, words, target is not None)
+        draw_path_captions(figure, layout, graph.lattice, scene.kinds, title, words, target is not None)
 
-    save_page(page, file, draw)
+    save_figure(layout, file, draw)
     return file
 
 
@@ -162,16 +163,13 @@ def _cells_in_box(
     graph: LatticeGraph, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return index (M, n) and centres (M, n), metres, of the graph's cells whose centre is in a box."""
-    u = (
-        np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(len(low), -1).T
-        @ np.linalg.inv(graph.lattice.basis).T
-    )
+    u = box_coordinates(graph.lattice.basis, low, high)
     first = np.maximum(np.floor(u.min(axis=0)).astype(np.int64), graph.first)
     last = np.minimum(np.ceil(u.max(axis=0)).astype(np.int64), graph.first + graph.inner_shape - 1)
     cells, centres = [np.empty((0, len(low)), np.int64)], [np.empty((0, len(low)))]
+    # Row by row: of a sheared basis's box most cells may lie outside.
     for a in range(first[0], last[0] + 1):
-        rest = [np.arange(start, end + 1) for start, end in zip(first[1:], last[1:], strict=True)]
-        index = np.stack(np.meshgrid([a], *rest, indexing="ij"), axis=-1).reshape(-1, len(low))
+        index = IndexBox.of_corners(np.array([a, *first[1:]]), np.array([a, *last[1:]])).cells()
         at = graph.lattice.centres(index)
         inside = np.all((at >= low) & (at <= high), axis=1)
         cells.append(index[inside])
@@ -185,38 +183,38 @@ def _kinds_of(
     index: NDArray[np.int64],
     centres: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    """Return UNKNOWN, FREE, OCCUPIED or too near (M,) for cells of the graph."""
+    """Return the states (M,), too near among them, of cells of the graph."""
     free = graph.free[graph.index_to_flat(index)] != 0
     if state_at is None:
-        return np.where(free, FREE, OCCUPIED).astype(np.uint8)
+        return np.where(free, CellState.FREE, CellState.OCCUPIED).astype(np.uint8)
     states = np.asarray(state_at(centres)).astype(np.uint8)
-    return np.where((states == FREE) & ~free, _NEAR, states).astype(np.uint8)
+    return np.where((states == CellState.FREE) & ~free, _NEAR, states).astype(np.uint8)
 
 
 def _dense(line: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     """Return points (K, n) along a line (M, n) that are no more than ``step`` apart."""
-    parts = [line[:1]]
+    pieces = [line[:1]]
     for a, b in pairwise(line):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
-        parts.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
-    return np.concatenate(parts)
+        pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(pieces)
 
 
 # ---------------------------------------------------------------------- in the plane
 
 
 class _Plane:
-    """The cells of the plane that a page shows."""
+    """The cells of the plane that the figure shows."""
 
-    def __init__(self, graph: LatticeGraph, state_at: Any, page: Page, covered: Corners) -> None:
-        self.page = page
+    def __init__(self, graph: LatticeGraph, state_at: Any, layout: FigureLayout, covered: Corners) -> None:
+        self.layout = layout
         self._lattice = graph.lattice
         room = 2.0 * graph.lattice.covering_radius
-        low, high = np.maximum(page.low - room, covered[0]), np.minimum(page.high + room, covered[1])
+        low, high = np.maximum(layout.low - room, covered[0]), np.minimum(layout.high + room, covered[1])
         self._index, self._centres = _cells_in_box(graph, low, high)
         self._classes = _kinds_of(graph, state_at, self._index, self._centres)
         self.kinds = [("free", FREE_COLOUR), ("occupied", _WALL)]
-        if (self._classes == UNKNOWN).any():
+        if (self._classes == CellState.UNKNOWN).any():
             self.kinds.append(("unknown", UNKNOWN_COLOUR))
         if (self._classes == _NEAR).any():
             self.kinds.insert(1, ("too near", NEAR_COLOUR))
@@ -227,24 +225,25 @@ class _Plane:
     def draw(self, figure: Any, axes: Any, suffix: str) -> None:
         """Draw the cells: pixel by pixel or as outlines."""
         if suffix == ".png":
-            walls = self._classes == OCCUPIED
-            parts = [self._cells(k) for k in (FREE, OCCUPIED, _NEAR)]
+            walls = self._classes == CellState.OCCUPIED
+            lists = [self._cells(k) for k in (CellState.FREE, CellState.OCCUPIED, _NEAR)]
             table = ClassTable(
                 self._lattice,
                 [
                     (cells, np.full(len(cells), k, np.uint8))
-                    for k, cells in zip((FREE, OCCUPIED, _NEAR), parts, strict=True)
+                    for k, cells in zip((CellState.FREE, CellState.OCCUPIED, _NEAR), lists, strict=True)
                 ],
             )
-            place_cells(figure, self.page, table, _COLOURS, self._centres[walls], self._classes[walls])
+            draw_pixels(figure, self.layout, table, _COLOURS, self._centres[walls], self._classes[walls])
         else:
             # Each area holds the ones after it, so no seam can show.
-            known, near = self._cells(FREE, OCCUPIED, _NEAR), self._cells(OCCUPIED, _NEAR)
-            draw_areas(axes, [(known, FREE_COLOUR), (near, NEAR_COLOUR), (self._cells(OCCUPIED), _WALL)])
-        if self._lattice.resolution >= _EDGED_WIDTH * self.page.metres_per_inch and len(self._index) <= _EDGED_CELLS:
-            for chosen, colour in ((self._classes != OCCUPIED, FRAME), (self._classes == OCCUPIED, FREE_COLOUR)):
+            known, near = self._cells(CellState.FREE, CellState.OCCUPIED, _NEAR), self._cells(CellState.OCCUPIED, _NEAR)
+            draw_areas(axes, [(known, FREE_COLOUR), (near, NEAR_COLOUR), (self._cells(CellState.OCCUPIED), _WALL)])
+        if self._lattice.resolution >= _EDGED_WIDTH * self.layout.metres_per_inch and len(self._index) <= _EDGED_CELLS:
+            walls = self._classes == CellState.OCCUPIED
+            for chosen, colour in ((~walls, FRAME), (walls, FREE_COLOUR)):
                 add_cells(
-                    axes, self.page, self._lattice, self._centres[chosen],
+                    axes, self.layout, self._lattice, self._centres[chosen],
                     facecolors="none", edgecolors=colour, linewidths=0.3,
                 )  # fmt: skip
 
@@ -257,7 +256,7 @@ class _Plane:
 
 
 class _Space:
-    """The obstacles of space that a page shows, from above and from the front."""
+    """The obstacles of space that the figure shows, from above and from the front."""
 
     def __init__(
         self,
@@ -273,20 +272,20 @@ class _Space:
         self._line = line
         room = 2.0 * graph.lattice.covering_radius
         low, high = box[0][2] - room, box[1][2] + room
-        # Both views together are no longer than the page of a map in the plane may be.
+        # Both views together are no longer than the picture of a map in the plane may be.
         flat = np.array([box[0][:2], box[1][:2]])
-        page = Page.around(flat, graph.lattice, dpi, titled)
-        tall = (page.high[1] - page.low[1] + high - low) / page.metres_per_inch
+        layout = FigureLayout.around(flat, graph.lattice, dpi, titled)
+        tall = (layout.high[1] - layout.low[1] + high - low) / layout.metres_per_inch
         if tall > _TALLEST:
-            page = Page.around(flat, graph.lattice, dpi, titled, shrink=_TALLEST / tall)
-        self._inches = round(max((high - low) / page.metres_per_inch, _LEAST_HEIGHT) * dpi) / dpi
+            layout = FigureLayout.around(flat, graph.lattice, dpi, titled, shrink=_TALLEST / tall)
+        self._inches = round(max((high - low) / layout.metres_per_inch, _LEAST_HEIGHT) * dpi) / dpi
         self._middle = 0.5 * (low + high)
-        self.page = replace(page, below=self._inches + _GAP)
+        self.layout = replace(layout, below=self._inches + _GAP)
         self.kinds = [("occupied, level with the path", _WALL), ("occupied elsewhere", FAR_COLOUR)]
-        half = 0.5 * self._inches * page.metres_per_inch
-        floor, ceiling = np.append(page.low, self._middle - half), np.append(page.high, self._middle + half)
+        half = 0.5 * self._inches * layout.metres_per_inch
+        floor, ceiling = np.append(layout.low, self._middle - half), np.append(layout.high, self._middle + half)
         index, centres = _cells_in_box(graph, np.maximum(floor, covered[0]), np.minimum(ceiling, covered[1]))
-        self._walls = centres[_kinds_of(graph, state_at, index, centres) == OCCUPIED]
+        self._walls = centres[_kinds_of(graph, state_at, index, centres) == CellState.OCCUPIED]
 
     def draw(self, figure: Any, axes: Any, suffix: str) -> None:
         """Draw what is seen from above."""
@@ -295,14 +294,14 @@ class _Space:
 
     def further(self, figure: Any) -> list[tuple[Any, tuple[int, int]]]:
         """Return the axes of the view from the front, drawn."""
-        page = self.page
-        bottom = page.bottom - page.below
-        w = page.pixels[0] / page.dpi
+        layout = self.layout
+        bottom = layout.bottom - layout.below
+        w = layout.pixels[0] / layout.dpi
         axes = figure.add_axes(
-            (page.left / page.width, bottom / page.height, w / page.width, self._inches / page.height)
+            (layout.left / layout.width, bottom / layout.height, w / layout.width, self._inches / layout.height)
         )
-        half = 0.5 * self._inches * page.metres_per_inch
-        axes.set_xlim(page.low[0], page.high[0])
+        half = 0.5 * self._inches * layout.metres_per_inch
+        axes.set_xlim(layout.low[0], layout.high[0])
         axes.set_ylim(self._middle - half, self._middle + half)
         axes.set_xticks([])
         axes.set_yticks([])
@@ -321,19 +320,26 @@ class _Space:
         """Draw the obstacles as two axes show them, those level with the path above the others."""
         from scipy.spatial import cKDTree
 
-        # A curved section: what is level with that place of the path that is nearest in the picture.
+        # A curved section: what is level with that point of the path that is nearest in the picture.
         (along,) = {0, 1, 2} - set(seen)
-        way = _dense(self._line, self._lattice.resolution)
-        place = cKDTree(way[:, seen]).query(self._walls[:, seen])[1]
-        near = np.abs(self._walls[:, along] - way[place, along]) <= _LEVEL * self._lattice.resolution
+        line = _dense(self._line, self._lattice.resolution)
+        nearest = cKDTree(line[:, seen]).query(self._walls[:, seen])[1]
+        near = np.abs(self._walls[:, along] - line[nearest, along]) <= _LEVEL * self._lattice.resolution
         for chosen, colour in ((~near, FAR_COLOUR), (near, _WALL)):
-            places = self._walls[chosen]
-            step = np.round(places[:, seen] / (1e-3 * self._lattice.resolution)).astype(np.int64)
-            places = places[np.unique(step, axis=0, return_index=True)[1]]
-            if len(places) > _MANY:
-                size = max(72.0 * self._lattice.resolution / self.page.metres_per_inch, 0.4)
-                axes.scatter(*places[:, seen].T, s=size**2, marker="s", color=colour, linewidths=0, rasterized=True)
-            elif len(places):
+            centres = self._walls[chosen]
+            step = np.round(centres[:, seen] / (1e-3 * self._lattice.resolution)).astype(np.int64)
+            centres = centres[np.unique(step, axis=0, return_index=True)[1]]
+            if len(centres) > _MANY:
+                size = max(72.0 * self._lattice.resolution / self.layout.metres_per_inch, 0.4)
+                axes.scatter(*centres[:, seen].T, s=size**2, marker="s", color=colour, linewidths=0, rasterized=True)
+            elif len(centres):
                 add_cells(
-                    axes, self.page, self._lattice, places, seen, facecolors=colour, edgecolors=colour, linewidths=0.2
+                    axes,
+                    self.layout,
+                    self._lattice,
+                    centres,
+                    seen,
+                    facecolors=colour,
+                    edgecolors=colour,
+                    linewidths=0.2,
                 )

@@ -58,7 +58,7 @@ def failure(text: str, error: BaseException) -> str:
 
 
 def plain(value: object) -> object:
-    """Turn what numpy has of its own into what JSON has."""
+    """Return numpy's arrays and numbers as Python's lists and numbers, which JSON has."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, np.generic):
@@ -102,7 +102,7 @@ def check_function(function: CaseFunction) -> None:
     """Refuse early, and for one worker too, what a spawned worker could not import."""
     module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", None)
     found: object = sys.modules.get(module) if isinstance(module, str) else None
-    for part in str(name).split("."):
-        found = getattr(found, part, None)
+    for attribute in str(name).split("."):
+        found = getattr(found, attribute, None)
     if name is None or found is not function:
         raise ArgumentError(f"{name or function!r} is not a function of the top level of a module")

@@ -7,8 +7,9 @@ case. What keeps the results the same for any number of workers and any order:
 * a case sees only its own copy of the case and data that it cannot change;
 * results pass through JSON in every mode, and JSON keeps a float exactly (its shortest ``repr``).
 
-Workers are spawned, never forked, because a fork after a parallel kernel kills the child. Finished cases
-go to a journal, one line each, so that a run that was interrupted goes on where it stopped.
+Cases are computed in this process, by worker processes of this machine, or by any executor that is passed in,
+such as that of a cluster. Finished cases go to a journal, one line each, so that a run that was interrupted goes on
+where it stopped.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +30,21 @@ import numpy as np
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.version import __version__
-from hexmap.experiments.case import CaseFunction, canonical_json, case_text, check_function, compute, digest
+from hexmap.experiments.case import (
+    CaseError,
+    CaseFunction,
+    Task,
+    canonical_json,
+    case_text,
+    check_function,
+    compute,
+    digest,
+    one_line,
+)
+from hexmap.experiments.interrupts import deferred_interrupt
 from hexmap.experiments.journal import Journal
-from hexmap.experiments.local_workers import held_back, run_on_workers
+from hexmap.experiments.local_workers import LocalWorkers, compute_noted
+from hexmap.experiments.payload import compute_from_payload, write_payload
 
 __all__ = ["run_cases"]
 
@@ -40,6 +56,7 @@ def run_cases(
     shared: Mapping[str, Any] | None = None,
     folder: str | os.PathLike[str] | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
     fingerprint: str = "",
@@ -61,7 +78,11 @@ def run_cases(
         folder: where the journal of finished cases lies; made if it does not exist. Without one nothing is
             kept. A journal belongs to one function, version and ``shared``: a run on other data has another
             file in the same folder, so that neither can be taken for the other.
-        workers: processes; one computes in this process.
+        workers: processes of this machine; one computes in this process.
+        executor: computes the cases instead of ``workers``: any object whose ``submit`` returns a
+            :class:`concurrent.futures.Future`, such as Dask's ``client.get_executor()``. It is not shut down. Its
+            workers import ``function`` and read ``shared`` from files that are written into ``folder`` (without one
+            into the temporary folder of this machine), so they must see that folder under the same path.
         seed: of the whole experiment, 0 or larger.
         progress: called as ``progress(done, total)`` at the beginning and after every case.
         fingerprint: whatever else the results depend on, such as the version of a helper.
@@ -78,58 +99,128 @@ def run_cases(
         FileAccessError: the journal cannot be written, or another run is using it.
         KeyboardInterrupt: after Ctrl-C, with the workers stopped and the journal whole.
     """
+    _check(function, workers, seed)
+    data = _prepare_shared(shared or {})
+    texts = [case_text(case, i) for i, case in enumerate(cases)]
+    description = _describe(function, data, fingerprint)
+    identity = digest(canonical_json(description))
+    keys = [digest(f"{identity} {int(seed)} {text}") for text in texts]
+    name = f"cases-{function.__name__}-{identity[:12]}.jsonl"
+    with Journal.open(folder, name, description) as journal:
+        results = _Results(keys, journal, progress)
+        tasks = [task for task in dict(zip(keys, texts, strict=True)).items() if task[0] not in results.finished]
+        count = min(workers, len(tasks))
+        results.report()
+        if executor is not None:
+            with _scratch(folder) as scratch:
+                write_payload(scratch, function, data, int(seed))
+                _compute_by(executor, compute_from_payload, scratch, tasks, results)
+        elif count > 1:
+            with _scratch(None) as scratch:
+                write_payload(scratch, function, data, int(seed))
+                _compute_by_local_workers(count, scratch, tasks, results)
+        else:
+            for key, text in tasks:
+                result = compute(function, text, int(seed), data)
+                with deferred_interrupt():
+                    results.record(key, text, result)
+                results.report()
+    return results.in_order()
+
+
+def _check(function: CaseFunction, workers: int, seed: int) -> None:
     check_function(function)
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ArgumentError(f"the number of workers must be 1 or larger, not {workers!r}")
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ArgumentError(f"the seed must be a whole number, 0 or larger, not {seed!r}")
-    seed = int(seed)
-    data = _prepare_shared(shared or {})
-    texts = [case_text(case, i) for i, case in enumerate(cases)]
-    description = _describe(function, data, fingerprint)
-    identity = digest(canonical_json(description))
-    keys = [digest(f"{identity} {seed} {text}") for text in texts]
-    counts: dict[str, int] = {}
-    for key in keys:
-        counts[key] = counts.get(key, 0) + 1
 
-    name = f"cases-{function.__name__}-{identity[:12]}.jsonl"
-    with Journal.open(folder, name, description) as journal:
-        results = {key: result for key, result in journal.finished.items() if key in counts}
-        todo = {key: text for key, text in zip(keys, texts, strict=True) if key not in results}
-        done = sum(counts[key] for key in results)
 
-        def record(key: str, text: str) -> None:
-            nonlocal done
-            journal.append(key, todo[key], text)
-            results[key] = json.loads(text)
-            done += counts[key]
+class _Results:
+    """The results of a run as they come in: into the journal, and to whoever watches the progress."""
 
-        def report() -> None:
-            if progress is not None:
-                progress(done, len(keys))
+    def __init__(self, keys: Sequence[str], journal: Journal, progress: Callable[[int, int], None] | None) -> None:
+        self._keys, self._journal, self._progress = keys, journal, progress
+        self._counts = Counter(keys)  # equal cases have one key
+        self.finished = {key: result for key, result in journal.finished.items() if key in self._counts}
+        self._done = sum(self._counts[key] for key in self.finished)
 
-        report()
-        tasks = list(todo.items())
-        if min(workers, len(tasks)) <= 1:
+    def record(self, key: str, text: str, result: str) -> None:
+        """Keep the result of the case ``text``; a second time is none."""
+        if key not in self.finished:
+            self._journal.append(key, text, result)
+            self.finished[key] = json.loads(result)
+            self._done += self._counts[key]
+
+    def report(self) -> None:
+        """Tell whoever watches how far the run is."""
+        if self._progress is not None:
+            self._progress(self._done, len(self._keys))
+
+    def in_order(self) -> list[dict[str, Any]]:
+        """Return one dictionary a case, none of them shared with another one that a caller may change."""
+        first = set[str]()
+        out: list[dict[str, Any]] = []
+        for key in self._keys:
+            result = self.finished[key]
+            out.append(json.loads(json.dumps(result)) if key in first else result)
+            first.add(key)
+        return out
+
+
+# ---------------------------------------------------------------------- executors
+
+
+@contextlib.contextmanager
+def _scratch(folder: str | os.PathLike[str] | None) -> Iterator[Path]:
+    """Make a folder for the payload of one run, and remove it at the end."""
+    with tempfile.TemporaryDirectory(prefix="hexmap-cases-", dir=folder, ignore_cleanup_errors=True) as scratch:
+        yield Path(scratch)
+
+
+def _compute_by(
+    executor: Executor, work: Callable[[str, str], str], scratch: Path, tasks: Sequence[Task], results: _Results
+) -> None:
+    """Compute the tasks by ``work(scratch, text)`` on an executor, and record each as it is finished."""
+    pending: dict[Future[str], Task] = {}
+    try:
+        with deferred_interrupt():
             for key, text in tasks:
-                result = compute(function, text, seed, data)
-                with held_back():
-                    record(key, result)
-                report()
-        else:
-            run_on_workers(function, tasks, data, seed, min(workers, len(tasks)), record, report)
-    # Equal cases must not share one dictionary that a caller may change.
-    first = set[str]()
-    return [_once(results[key], key, first) for key in keys]
+                pending[executor.submit(work, str(scratch), text)] = key, text
+        for future in as_completed(pending):
+            with deferred_interrupt():
+                results.record(*pending[future], future.result())
+            results.report()
+    except BaseException as error:
+        with deferred_interrupt():
+            _keep_what_is_finished(pending, results)
+        if isinstance(error, BrokenExecutor) and not isinstance(executor, LocalWorkers):
+            raise CaseError(f"the executor broke: {one_line(str(error))}") from error
+        raise
 
 
-def _once(result: dict[str, Any], key: str, seen: set[str]) -> dict[str, Any]:
-    if key in seen:
-        copy: dict[str, Any] = json.loads(json.dumps(result))
-        return copy
-    seen.add(key)
-    return result
+def _keep_what_is_finished(pending: Mapping[Future[str], Task], results: _Results) -> None:
+    """Record what has been computed but not yet been received, and withdraw what has not begun."""
+    for future, task in pending.items():
+        with contextlib.suppress(Exception):
+            if future.done() and not future.cancelled() and future.exception() is None:
+                results.record(*task, future.result())
+    for future in pending:
+        future.cancel()
+
+
+def _compute_by_local_workers(count: int, scratch: Path, tasks: Sequence[Task], results: _Results) -> None:
+    try:
+        pool = LocalWorkers(count, scratch)
+    except OSError as error:
+        raise CaseError(f"a worker could not be started: {error.strerror or error}") from error
+    try:
+        _compute_by(pool, compute_noted, scratch, tasks, results)
+    except BrokenExecutor as error:
+        raise CaseError(pool.cause_of_death()) from error
+    finally:
+        with deferred_interrupt():
+            pool.stop()
 
 
 # ---------------------------------------------------------------------- plain data
@@ -175,14 +266,3 @@ def _describe(function: CaseFunction, data: Mapping[str, Any], fingerprint: str)
         "shared": content.hexdigest(),
         "fingerprint": str(fingerprint),
     }
-
-
-# ---------------------------------------------------------------------- one case
-
-
-# ---------------------------------------------------------------------- the journal
-
-
-# ---------------------------------------------------------------------- workers
-
-

@@ -7,7 +7,7 @@ the range of the statistic and any monotone change of scale, and a ratio needs n
 there is nothing to correct it is the percentile interval. Measured on sigma / mu of 36 normal values, a
 95 % interval holds the truth 88 % of the time, the percentile interval 84 %; of 100 values, 93 % and 91 %.
 
-Neighbours on a smooth curve, such as the cells a map needs over the angle it was turned by, are correlated.
+Neighbours on a smooth curve, such as the cells a map needs over the angle it was rotated by, are correlated.
 Resampling single values would take them for independent and promise too much. ``block`` resamples runs
 of neighbours instead (moving blocks: Künsch 1989), by default around the end to the beginning (circular
 blocks: Politis & Romano 1992), which gives every value the same weight and is right for angles, where the
@@ -114,7 +114,7 @@ def bootstrap(
         resamples: how many.
         level: the confidence.
         block: how many neighbours are drawn together; 1 for independent values.
-        circular: whether the first value is the neighbour of the last one, as on a full turn.
+        circular: whether the first value is the neighbour of the last one, as on a full circle.
 
     Returns:
         The interval, in the units of the statistic.
@@ -124,6 +124,9 @@ def bootstrap(
             them, or another argument out of range.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap.experiments import bootstrap
+        >>> from hexmap.experiments.statistics import mean
         >>> interval = bootstrap(np.arange(100.0), mean, rng=np.random.default_rng(0))
         >>> interval.value
         49.5
@@ -243,8 +246,8 @@ def _interval(
         raise ArgumentError(f"a block has 1 to {shortest // 2} of {shortest} values, not {block}")
 
     def combine(drawn: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        parts = [statistic(values) for statistic, values in zip(statistics, drawn, strict=True)]
-        return parts[0] if len(parts) == 1 else np.asarray(parts[0] / parts[1])
+        found = [statistic(values) for statistic, values in zip(statistics, drawn, strict=True)]
+        return found[0] if len(found) == 1 else np.asarray(found[0] / found[1])
 
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(combine(samples))
@@ -269,7 +272,7 @@ def _draws(
     block: int,
     circular: bool,
 ) -> list[NDArray[np.float64]]:
-    """Return the statistic of all resamples, in parts that fit the cache rather than the memory."""
+    """Return the statistic of all resamples, in chunks that fit the cache rather than the memory."""
     out = []
     step = max(1, _CHUNK // max(len(sample) for sample in samples))
     for begin in range(0, resamples, step):
@@ -299,7 +302,7 @@ def _influences(
     block: int,
 ) -> NDArray[np.float64]:
     """Return what each group of neighbours adds to the statistic, by leaving it out (the jackknife)."""
-    parts = []
+    influences = []
     for i in range(1 if paired else len(samples)):
         n = len(samples[i])
         groups = min(max(n // block, 2), _GROUPS)
@@ -309,8 +312,8 @@ def _influences(
             keep = np.ones(n, np.bool_)
             keep[edges[g] : edges[g + 1]] = False
             left[g] = combine([s[keep] if paired or k == i else s for k, s in enumerate(samples)])
-        parts.append(left.mean() - left)
-    return np.concatenate(parts)
+        influences.append(left.mean() - left)
+    return np.concatenate(influences)
 
 
 def _bca(

@@ -1,8 +1,12 @@
 """Numba kernels of the graph layer: moves over a padded flat window, without bounds checks.
 
 All take the window as plain arrays: ``free`` (size,) uint8, the flat ``offsets`` (K,) of the moves
-and, a move after the other, the flat offsets ``swept`` of the cells that it sweeps. The padding
+and, one move after the other, the flat offsets ``swept`` of the cells that it sweeps. The padding
 around the window is blocked, and wide enough that no offset from a free cell leaves the array.
+What belongs together comes as a tuple with names: the ``layout`` of the cells in memory
+(:class:`hexmap.graph.window.Layout`), the ``shape`` of a body and the ``tree`` over many of them
+(:class:`hexmap.graph.bodies.BodyShape`, :class:`hexmap.graph.bodies.BodyTree`). Helpers that run for
+every body are inlined: as calls they cost a twentieth of the search.
 """
 
 # mypy: ignore-errors
@@ -16,6 +20,7 @@ from numba import njit
 @njit(cache=True, nogil=True)
 def _is_open(free, at, k, offsets, swept_starts, swept):
     """Tell whether move ``k`` from the free cell ``at`` is allowed."""
+    # The end first: it is the cell that is most often blocked, and many moves sweep no other.
     if free[at + offsets[k]] == 0:
         return False
     for s in range(swept_starts[k], swept_starts[k + 1]):  # noqa: SIM110 (a generator does not compile)
@@ -34,6 +39,7 @@ def open_moves(free, at, offsets, swept_starts, swept, out):
 @njit(cache=True, nogil=True)
 def count_edges(free, nodes, offsets, swept_starts, swept, starts):
     """Write into ``starts`` (M + 1,) where the edges of each of the ``nodes`` (M,) begin."""
+    # Counted before they are filled in, because a list that grows would hold the edges twice.
     total = 0
     for i in range(nodes.shape[0]):
         starts[i] = total
@@ -56,6 +62,7 @@ def fill_edges(free, nodes, offsets, swept_starts, swept, lengths, terrain, numb
             if _is_open(free, a, k, offsets, swept_starts, swept):
                 b = a + offsets[k]
                 columns[w] = number[b]
+                # The mean of the two ends: a move costs the same in either direction.
                 costs[w] = lengths[k]
                 if terrain.shape[0] > 0:
                     costs[w] = lengths[k] * (terrain[a] + terrain[b]) / 2.0
@@ -65,6 +72,7 @@ def fill_edges(free, nodes, offsets, swept_starts, swept, lengths, terrain, numb
 @njit(cache=True, nogil=True)
 def _root(parent, i):
     """Return the root of ``i``, halving the path on the way; parents are never above their children."""
+    # Halving keeps the paths short without a second walk, which compressing them fully would take.
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -79,6 +87,7 @@ def label(free, backward, swept_starts, swept, out):
     edge once, because each move's opposite is a move as well. Roots are the lowest cells of their
     trees, so that a second pass in ascending order turns parents into labels in place.
     """
+    # Forest: ``out`` holds parents. All cells below ``i`` are in it, so that a backward move finds its end there.
     for i in range(free.shape[0]):
         if free[i] == 0:
             out[i] = -1
@@ -88,10 +97,12 @@ def label(free, backward, swept_starts, swept, out):
             if _is_open(free, i, k, backward, swept_starts, swept):
                 a = _root(out, i)
                 b = _root(out, i + backward[k])
+                # The lower root stays one, which the second pass relies on; the price is no union by rank.
                 if a < b:
                     out[b] = a
                 elif b < a:
                     out[a] = b
+    # Labels: a parent is below its child and so has its label already when the child's turn comes.
     count = 0
     for i in range(free.shape[0]):
         if out[i] == i:
@@ -103,20 +114,24 @@ def label(free, backward, swept_starts, swept, out):
 
 
 @njit(cache=True, nogil=True)
-def cells_in_box(begin, end, first, inner, pad, strides, basis, low, high, flat, points):
+def cells_in_box(begin, end, layout, basis, low, high, flat, points):
     """Write those of the inner cells ``begin`` to ``end`` whose centre lies in the box; returns how many.
 
-    Inner cells are counted row by row without the padding; ``first`` (n,) is the index of the first.
+    Inner cells are counted row by row without the padding. ``low`` and ``high`` (n,) are in metres;
+    positions go to ``flat`` (N,) and centres to ``points`` (N, n).
     """
+    first, inner, pad, strides = layout.first, layout.inner, layout.pad, layout.strides
     n = first.shape[0]
     at = np.empty(n, np.int64)
     centre = np.empty(n, np.float64)
     w = 0
     for c in range(begin, end):
+        # The cell's place inside the padding, from its number.
         rest = c
         for i in range(n - 1, -1, -1):
             at[i] = rest % inner[i]
             rest //= inner[i]
+        # Its centre, added up in the order of ``Lattice.centres``, so that both give the same bits.
         inside = True
         for i in range(n):
             x = basis[i, 0] * (at[0] + first[0])
@@ -137,23 +152,26 @@ def cells_in_box(begin, end, first, inner, pad, strides, basis, low, high, flat,
 
 
 @njit(cache=True, nogil=True)
-def mark_surface(solid, faces, inner, pad, strides, out):
+def mark_surface(solid, faces, layout, out):
     """Mark in ``out`` (size,) the solid cells that share a face with one that is not solid.
 
     No other solid cell can be the nearest one to a cell that is not solid: from inside a solid,
     some neighbour across a face is always nearer.
     """
+    inner, pad, strides = layout.inner, layout.pad, layout.strides
     n = inner.shape[0]
     rows = 1
     for i in range(n - 1):
         rows *= inner[i]
     for r in range(rows):
+        # Where the row begins: along the last index cells follow one another in memory.
         rest = r
         base = pad[n - 1]
         for i in range(n - 2, -1, -1):
             base += (rest % inner[i] + pad[i]) * strides[i]
             rest //= inner[i]
         for here in range(base, base + inner[n - 1]):
+            # From both sides, because the padding has no turn of its own: the cells inside find its solid ones.
             if solid[here] == 0:
                 for k in range(faces.shape[0]):
                     if solid[here + faces[k]] != 0:
@@ -166,11 +184,13 @@ def mark_surface(solid, faces, inner, pad, strides, out):
 
 
 @njit(cache=True, nogil=True)
-def block_around(cells, ball, first, inner, pad, strides, free):
+def block_around(cells, ball, layout, free):
     """Block all cells of the window that are one of the offsets ``ball`` (B, n) away from one of ``cells`` (M, n)."""
+    first, inner, pad, strides = layout.first, layout.inner, layout.pad, layout.strides
     n = first.shape[0]
     for c in range(cells.shape[0]):
         for b in range(ball.shape[0]):
+            # Obstacles may lie outside the window, and a ball may reach out of it: every cell is checked.
             here = 0
             inside = True
             for i in range(n):
@@ -183,26 +203,54 @@ def block_around(cells, ball, first, inner, pad, strides, free):
                 free[here] = 0
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _to_centred_box(v, frame, half, grain):
+    """Return the distance of the point ``v`` (n,) to a box around the origin, 0 inside and on its border."""
+    n = v.shape[0]
+    total = 0.0
+    for i in range(n):
+        s = 0.0
+        for j in range(n):
+            s += frame[i, j] * v[j]
+        s = abs(s) - half[i]
+        if s > grain:
+            total += s * s
+    return np.sqrt(total)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_edges(v, edges):
+    """Return the distance of the point ``v`` (n,) to the nearest of ``edges`` (E, 2, n)."""
+    n = v.shape[0]
+    best = np.inf
+    for e in range(edges.shape[0]):
+        # The nearest point of the edge's line, as a fraction of the edge, and no farther than its ends.
+        along = 0.0
+        length = 0.0
+        for j in range(n):
+            d = edges[e, 1, j] - edges[e, 0, j]
+            along += d * (v[j] - edges[e, 0, j])
+            length += d * d
+        t = min(max(along / length, 0.0), 1.0)
+        total = 0.0
+        for j in range(n):
+            d = v[j] - edges[e, 0, j] - t * (edges[e, 1, j] - edges[e, 0, j])
+            total += d * d
+        best = min(best, total)
+    return np.sqrt(best)
+
+
 @njit(cache=True, nogil=True)
 def _to_body(v, frame, half, grain, normals, heights, edges):
     """Return the distance of the point ``v`` (n,) to a convex body around the origin, 0 inside.
 
-    The body is a box of half edges ``half`` (n,) along the rows of ``frame`` (n, n), where what is less
-    than ``grain`` outside counts as on its border; or, where ``half`` is empty, the polytope
-    {x : normals x <= heights} of unit normals with the ``edges`` (E, 2, n). The nearest point of a
-    polytope is the foot of the perpendicular on a face, if that foot is in the polytope, or on an edge.
+    The parameters are those of :class:`hexmap.graph.bodies.BodyShape`, one by one: handing the tuple on
+    for every body costs a sixth of the whole search.
     """
-    n = v.shape[0]
-    total = 0.0
     if half.shape[0] > 0:
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += frame[i, j] * v[j]
-            s = abs(s) - half[i]
-            if s > grain:
-                total += s * s
-        return np.sqrt(total)
+        return _to_centred_box(v, frame, half, grain)
+    # The nearest point of a polytope is the foot of the perpendicular on a face, if that foot is in it, or on an edge.
+    n = v.shape[0]
     outside = False
     for f in range(heights.shape[0]):
         s = -heights[f]
@@ -220,30 +268,14 @@ def _to_body(v, frame, half, grain, normals, heights, edges):
                     break
             if foot:
                 return s
-    if not outside:
-        return 0.0
-    best = np.inf
-    for e in range(edges.shape[0]):
-        along = 0.0
-        length = 0.0
-        for j in range(n):
-            d = edges[e, 1, j] - edges[e, 0, j]
-            along += d * (v[j] - edges[e, 0, j])
-            length += d * d
-        t = min(max(along / length, 0.0), 1.0)
-        total = 0.0
-        for j in range(n):
-            d = v[j] - edges[e, 0, j] - t * (edges[e, 1, j] - edges[e, 0, j])
-            total += d * d
-        best = min(best, total)
-    return np.sqrt(best)
+    return _to_edges(v, edges) if outside else 0.0
 
 
 @njit(cache=True, nogil=True)
-def to_body(points, frame, half, grain, normals, heights, edges, out):
-    """Write the distance (N,) of each of ``points`` (N, n) to a body around the origin, see :func:`_to_body`."""
+def to_body(points, shape, out):
+    """Write the distance (N,) of each of ``points`` (N, n) to the body ``shape`` around the origin."""
     for i in range(points.shape[0]):
-        out[i] = _to_body(points[i], frame, half, grain, normals, heights, edges)
+        out[i] = _to_body(points[i], shape.frame, shape.half, shape.grain, shape.normals, shape.heights, shape.edges)
 
 
 @njit(cache=True, nogil=True)
@@ -258,18 +290,18 @@ def _to_box(x, boxes, node):
 
 
 @njit(cache=True, nogil=True)
-def nearest_body(
-    points, centres, leaf, boxes, covering, inradius, frame, half, grain, normals, heights, edges, limit, enough, out
-):
+def nearest_body(points, tree, shape, limit, enough, out):
     """Write the distance (N,) of each of ``points`` (N, n) to the nearest of equal bodies; inf from ``limit`` on.
 
-    The bodies lie around ``centres`` (M, n), which are in runs of ``leaf`` the leaves of a binary tree:
-    the node k has the children 2 k and 2 k + 1 and the box ``boxes[k]`` (2, n) around its centres. No
-    body is nearer than its centre less ``covering``, and none farther than its centre less
-    ``inradius``. A distance below ``enough`` need only be known to be that.
+    The bodies have the ``shape`` and lie around the centres of the ``tree``. A distance below
+    ``enough`` need only be known to be that.
     """
     n = points.shape[1]
+    centres, boxes, covering, inradius, leaf = tree.centres, tree.boxes, tree.covering, tree.inradius, tree.leaf
+    frame, half, grain = shape.frame, shape.half, shape.grain
+    normals, heights, edges = shape.normals, shape.heights, shape.edges
     first_leaf = boxes.shape[0] // 2
+    # Nodes yet to be visited and how far away they are: one a level, so 128 are more than any tree has.
     stack = np.empty(128, np.int64)
     away = np.empty(128, np.float64)
     v = np.empty(n, np.float64)
@@ -282,16 +314,19 @@ def nearest_body(
             for i in range(n):
                 v[i] = x[i] - centres[last, i]
             best = min(best, _to_body(v, frame, half, grain, normals, heights, edges))
+        # Only centres nearer than this, squared, can have a nearer body.
         reach = (best + covering) * (best + covering)
         stack[0] = 1
         away[0] = _to_box(x, boxes, 1)
         top = 1
         while top > 0 and best >= enough and best > 0.0:
             top -= 1
+            # The bound may have fallen since the node was pushed.
             if away[top] >= reach:
                 continue
             node = stack[top]
             if node < first_leaf:
+                # The nearer child goes on top: what is found there rules out most of the farther one.
                 near, far = 2 * node, 2 * node + 1
                 to_near, to_far = _to_box(x, boxes, near), _to_box(x, boxes, far)
                 if to_far < to_near:
@@ -314,6 +349,7 @@ def nearest_body(
                     squared += v[i] * v[i]
                 if squared >= reach:
                     continue
+                # The ball inside the body is a cheap upper bound, and does where the exact distance is not asked for.
                 found = np.sqrt(squared) - inradius
                 if found >= enough or found < 0.0:
                     found = _to_body(v, frame, half, grain, normals, heights, edges)
@@ -325,22 +361,25 @@ def nearest_body(
 
 
 @njit(cache=True, nogil=True)
-def block_around_boxes(centres, at, reach, bound, columns, half, grain, first, inner, pad, strides, free):
+def block_around_boxes(centres, at, reach, bound, columns, half, grain, layout, free):
     """Block all cells of the window that are nearer than ``bound`` to one of equal boxes.
 
     All has three dimensions, the first one of no extent in the plane: ``centres`` (M, 3) of the boxes
     and the basis ``columns`` (3, 3) are in the boxes' own axes, ``at`` (M, 3) are the same centres as
     multiples of the basis, and ``reach`` (3,) the indices around them that may be near.
     """
+    first, inner, pad, strides = layout.first, layout.inner, layout.pad, layout.strides
     low = np.empty(3, np.int64)
     high = np.empty(3, np.int64)
     ax, ay, az = columns[0, 2], columns[1, 2], columns[2, 2]
     for c in range(centres.shape[0]):
+        # The indices that may be near, as far as the window has them: no cell needs a check of its own.
         for i in range(3):
             low[i] = max(np.int64(np.ceil(at[c, i] - reach[i])), first[i])
             high[i] = min(np.int64(np.floor(at[c, i] + reach[i])), first[i] + inner[i] - 1)
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
+                # Along the last index a step adds a constant vector, to a centre and to its flat position.
                 x = columns[0, 0] * i + columns[0, 1] * j - centres[c, 0]
                 y = columns[1, 0] * i + columns[1, 1] * j - centres[c, 1]
                 z = columns[2, 0] * i + columns[2, 1] * j - centres[c, 2]
@@ -348,6 +387,7 @@ def block_around_boxes(centres, at, reach, bound, columns, half, grain, first, i
                 for k in range(low[2], high[2] + 1):
                     if free[row + k] == 0:
                         continue
+                    # What is within the grain of a side counts as on the box, as it does when a point is looked up.
                     dx = abs(x + ax * k) - half[0]
                     dy = abs(y + ay * k) - half[1]
                     dz = abs(z + az * k) - half[2]

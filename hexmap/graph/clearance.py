@@ -1,26 +1,33 @@
-"""Clearance in the graph layer: which cells are obstacles, how far away they are, and what is too near to them."""
+"""Clearance in the graph layer: how far cells are from obstacles, and which are too near to them.
+
+Clearance is measured to one of three kinds of obstacles: the centres of occupied cells, their Voronoi cells, or the
+squares and cubes of a map that others made. Each kind is a class; :class:`Clearance` makes them when they are first
+asked for and gives a query to the right one.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
-from hexmap.graph.window import CHUNK, Window, cells_in_box
+from hexmap.graph.bodies import Bodies, Boxes
+from hexmap.graph.obstacles import FoundCells, ObstacleCells
+from hexmap.graph.window import CHUNK, Layout, Window
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 
-__all__ = ["Boxes", "Obstacles", "To", "check_to"]
+__all__ = ["BoxObstacles", "CellObstacles", "CentreObstacles", "Clearance", "Obstacles", "To", "check_to"]
 
 To: TypeAlias = Literal["centre", "cell"]
 
 _NEARER = 1e-9  # a clearance this little short of a radius is as large
-_LEAF = 8  # bodies in a leaf of the search tree
+_BALL = 20_000  # offsets of a clearance ball up to which stamping beats a search tree
 _STAMPED_BOXES = 4  # index boxes hold so many times the cells of a ball before stamping them loses
 
 
@@ -34,293 +41,256 @@ def check_to(to: str) -> None:
         raise ArgumentError(f"clearance is that to an obstacle's centre or cell, not to {to!r}")
 
 
-@dataclass(frozen=True)
-class Boxes:
-    """Equal squares or cubes, all turned alike.
+class Obstacles(Protocol):
+    """Obstacles of one kind: how far away they are, and how to block what is near to them."""
 
-    Attributes:
-        centres: (M, n) float64, metres; only of those on the surface, which are the ones that can be nearest.
-        edge: metres.
-        frame: (n, n) float64, the boxes' axes as rows.
-        grain: metres; a point that is no farther than this from a box is on its border.
-        contains: tells for points (N, n), metres, whether they are in any box, also beneath the surface.
-    """
-
-    centres: NDArray[np.float64]
-    edge: float
-    frame: NDArray[np.float64]
-    grain: float
-    contains: Callable[[NDArray[np.float64]], NDArray[np.bool_]]
-
-
-@dataclass(frozen=True)
-class _Bodies:
-    """Equal convex bodies around points, in a search tree.
-
-    Attributes:
-        centres: (M, n), metres.
-        shape: what the kernels take for the body: frame, half edges, grain, normals, heights, edges.
-        covering: distance, metres, of a body's farthest point from its centre.
-        inradius: distance, metres, of its nearest border.
-    """
-
-    centres: NDArray[np.float64]
-    shape: Any
     covering: float
-    inradius: float
+    """Metres from the centre of an obstacle to the farthest point of it."""
 
-    @classmethod
-    def of_cells(cls, lattice: Lattice, cells: NDArray[np.int64]) -> _Bodies:
-        """Return the Voronoi cells of ``cells`` (M, n)."""
-        cell, n = lattice.cell, lattice.dim
-        lengths = np.linalg.norm(cell.normals, axis=1)
-        pairs = {tuple(sorted((int(a), int(b)))) for r in cell.rings for a, b in zip(r, np.roll(r, 1), strict=True)}
-        edges = np.ascontiguousarray(cell.vertices[np.array(sorted(pairs))])
-        normals = np.ascontiguousarray(cell.normals / lengths[:, None])
-        shape = (np.zeros((n, n)), np.empty(0), 0.0, normals, lengths / 2.0, edges)
-        return cls(lattice.centres(cells), shape, lattice.covering_radius, lattice.inradius)
+    def distances(self, window: Window, flat: NDArray[np.int64], limit: float, enough: float) -> NDArray[np.float64]:
+        """Return the distance (M,), metres, of cells' centres to the nearest obstacle.
 
-    @classmethod
-    def of_boxes(cls, boxes: Boxes) -> _Bodies:
-        """Return the boxes."""
-        n = boxes.centres.shape[1]
-        half = np.full(n, boxes.edge / 2.0)
-        shape = (boxes.frame, half, boxes.grain, np.empty((0, n)), np.empty(0), np.empty((0, 2, n)))
-        return cls(boxes.centres, shape, boxes.edge / 2.0 * math.sqrt(n), boxes.edge / 2.0)
+        Infinite beyond ``limit``; a distance below ``enough`` may be any that is below.
+        """
+        ...
+
+    def may_stamp(self, reach: NDArray[np.float64], most: int) -> bool:
+        """Tell whether stamping is worth it where indices up to ``reach`` (n,) around each obstacle may be near."""
+        ...
+
+    def stamp(self, window: Window, radius: float, reach: NDArray[np.float64], free: NDArray[np.uint8]) -> None:
+        """Block the cells of ``free`` (size,) nearer than ``radius``; indices up to ``reach`` (n,) around may be."""
+        ...
+
+
+class CentreObstacles:
+    """The centres of cells."""
+
+    covering = 0.0
+
+    def __init__(self, lattice: Lattice, cells: NDArray[np.int64]) -> None:
+        """Take the cells (M, n)."""
+        self._lattice, self._cells = lattice, cells
 
     @cached_property
-    def _tree(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The centres (M, n) in the order of a binary tree's leaves, and the boxes (2 P, 2, n) of its nodes."""
+    def _tree(self) -> Any:
         from scipy.spatial import cKDTree
 
-        order = cKDTree(self.centres, balanced_tree=False, compact_nodes=False).indices
-        centres = np.ascontiguousarray(self.centres[order])
-        starts = np.arange(0, len(centres), _LEAF)
-        wide = 1 << max(len(starts) - 1, 0).bit_length()
-        boxes = np.empty((2 * wide, 2, centres.shape[1]))
-        boxes[:, 0], boxes[:, 1] = np.inf, -np.inf
-        boxes[wide : wide + len(starts), 0] = np.minimum.reduceat(centres, starts)
-        boxes[wide : wide + len(starts), 1] = np.maximum.reduceat(centres, starts)
-        while wide > 1:
-            below = boxes[wide : 2 * wide].reshape(wide // 2, 2, 2, -1)
-            wide //= 2
-            boxes[wide : 2 * wide, 0] = below[:, :, 0].min(axis=1)
-            boxes[wide : 2 * wide, 1] = below[:, :, 1].max(axis=1)
-        return centres, boxes
+        return cKDTree(self._lattice.centres(self._cells), balanced_tree=False, compact_nodes=False)
 
-    def offsets(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distance (N,), metres, of points (N, n) to the body around the origin."""
-        from hexmap.graph import _kernels as kernels
-
-        out = np.empty(len(points), np.float64)
-        kernels.to_body(*(np.ascontiguousarray(points), *self.shape, out))
-        return out
-
-    def nearest(self, points: NDArray[np.float64], limit: float, enough: float) -> NDArray[np.float64]:
-        """Return the distance (N,), metres, of points (N, n) to the nearest body.
-
-        Infinite from ``limit`` on; a distance below ``enough`` may be any that is below.
-        """
-        from hexmap.graph import _kernels as kernels
-
-        out = np.full(len(points), np.inf)
-        if len(self.centres):
-            centres, boxes = self._tree
-            # The bounds may not cut off by rounding what is exactly at them.
-            slack = 1e-9 * self.covering
-            bounds = (self.covering + slack, self.inradius - slack)
-            tree = (np.ascontiguousarray(points), centres, _LEAF, boxes)
-            kernels.nearest_body(*(*tree, *bounds, *self.shape, limit, enough, out))
-        return out
-
-
-@dataclass
-class Obstacles:
-    """Where clearance is measured from; graphs derived from one another share it.
-
-    Attributes:
-        cells: (M, n) int64 index of all of them, once known.
-        free: the states (size,) that they are found in otherwise: all blocked cells of the window.
-        box: the corners, metres, of the box that they must lie in, if not the whole window counts.
-        outside: whether the cells outside the window are obstacles as well.
-        source: makes the boxes that the obstacles truly are, where the cells are only their image.
-        solid: the bits (size / 8,) of the obstacles among the window's cells, where ``cells`` are their surface.
-    """
-
-    cells: NDArray[np.int64] | None = None
-    free: NDArray[np.uint8] | None = None
-    box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-    outside: bool = False
-    source: Callable[[], Boxes] | None = None
-    solid: NDArray[np.uint8] | None = field(default=None, repr=False)
-    tree: Any = field(default=None, repr=False)
-    boxes: Boxes | None = field(default=None, repr=False)
-    bodies: _Bodies | None = field(default=None, repr=False)
-
-    def find(self, window: Window) -> NDArray[np.int64]:
-        """Return the cells (M, n); computed once, and of blocked cells only those on the surface."""
-        if self.cells is None and self.free is not None:
-            from hexmap.graph import _kernels as kernels
-
-            solid = np.zeros(window.size, np.uint8)
-            if self.box is not None:
-                for flat, _ in cells_in_box(window, *self.box):
-                    solid[flat] = self.free[flat] == 0
-            elif self.outside:
-                np.equal(self.free, 0, out=solid, casting="unsafe")
-            else:
-                cut = tuple(slice(int(p), int(s - p)) for p, s in zip(window.pad, window.shape, strict=True))
-                shape = tuple(int(s) for s in window.shape)
-                np.equal(self.free.reshape(shape)[cut], 0, out=solid.reshape(shape)[cut], casting="unsafe")
-            surface = np.zeros(window.size, np.uint8)
-            faces = np.ascontiguousarray(window.lattice.faces @ window.strides)
-            kernels.mark_surface(solid, faces, window.inner_shape, window.pad, window.strides, surface)
-            # Not by flat_to_index: cells of the padding may lie beyond the range of int32.
-            at = np.unravel_index(np.flatnonzero(surface), tuple(int(s) for s in window.shape))
-            self.cells = np.ascontiguousarray(np.stack(at, axis=1) + window.low, dtype=np.int64)
-            self.solid = np.packbits(solid)
-            self.free = None
-        assert self.cells is not None
-        return self.cells
-
-    def _find_bodies(self, window: Window) -> _Bodies:
-        """Return what clearance "to the cell" is measured from; computed once."""
-        if self.bodies is None:
-            if self.source is not None:
-                self.boxes = self.source()
-                self.bodies = _Bodies.of_boxes(self.boxes)
-            else:
-                self.bodies = _Bodies.of_cells(window.lattice, self.find(window))
-        return self.bodies
-
-    def _beneath(self, flat: NDArray[np.int64], points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell of cells (M,), by their centres (M, n), which are within the obstacles that have a surface only."""
-        if self.boxes is not None:
-            return self.boxes.contains(points)
-        if self.solid is None:
-            return np.zeros(len(flat), np.bool_)
-        return (self.solid[flat >> 3] >> (7 - (flat & 7)).astype(np.uint8)) & 1 != 0
-
-    def distances(
-        self,
-        window: Window,
-        flat: NDArray[np.int64],
-        limit: float = math.inf,
-        to: To = "centre",
-        enough: float = 0.0,
-    ) -> NDArray[np.float64]:
-        """Return the distance (M,), metres, of cells' centres to the nearest obstacle; inf beyond ``limit``.
-
-        To the nearest obstacle's cell a distance below ``enough`` may be any that is below.
-        """
+    def distances(self, window: Window, flat: NDArray[np.int64], limit: float, enough: float) -> NDArray[np.float64]:
+        """Return the exact distance (M,), metres, to the nearest centre; infinite beyond ``limit``."""
         out = np.full(len(flat), np.inf)
-        if to == "cell":
-            bodies = self._find_bodies(window)
-            for begin in range(0, len(flat), CHUNK):
-                part = slice(begin, begin + CHUNK)
-                points = window.centres(flat[part])
-                beneath = self._beneath(flat[part], points)
-                found = np.zeros(len(points))
-                found[~beneath] = bodies.nearest(points[~beneath], limit, enough)
-                out[part] = found
-            return out
-        cells = self.find(window)
-        if len(cells) == 0:
-            return out
-        if self.tree is None:
-            from scipy.spatial import cKDTree
-
-            self.tree = cKDTree(window.lattice.centres(cells), balanced_tree=False, compact_nodes=False)
-        for begin in range(0, len(flat), CHUNK):
-            part = slice(begin, begin + CHUNK)
-            out[part] = self.tree.query(window.centres(flat[part]), distance_upper_bound=limit)[0]
+        if len(self._cells):
+            for piece in _pieces(len(flat)):
+                out[piece] = self._tree.query(window.centres(flat[piece]), distance_upper_bound=limit)[0]
         return out
 
-    def block_near(self, window: Window, radius: float, free: NDArray[np.uint8], most: int, to: To = "centre") -> None:
-        """Block the cells of ``free`` (size,) that are nearer to an obstacle than a radius, metres.
+    def may_stamp(self, reach: NDArray[np.float64], most: int) -> bool:
+        """Always."""
+        return True
 
-        Offsets of all cells in the radius are stamped around the obstacles, or where that may be more
-        than ``most`` of them, a search tree is asked. Which offsets from a cell are near hangs on the
-        difference of the two alone, also where the distance is that to the whole cell.
-        """
-        from hexmap.graph import _kernels as kernels
+    def stamp(self, window: Window, radius: float, reach: NDArray[np.float64], free: NDArray[np.uint8]) -> None:
+        """Stamp the ball of offsets around each cell."""
+        offsets = _offsets_within(reach)
+        away = np.sqrt((self._lattice.centres(offsets) ** 2).sum(axis=1))
+        _stamp_ball(window, self._cells, offsets[away < _bound(radius)], free)
 
-        if radius <= 0.0:
-            return
-        bound = radius * (1.0 - _NEARER)
-        lattice, n = window.lattice, window.lattice.dim
-        wide = radius
-        if to == "cell":
-            bodies = self._find_bodies(window)
-            wide += bodies.covering
-        # Over-estimates the lattice points of the ball: one cell's width is added to the radius.
-        edge = 2.0 * (wide + lattice.covering_radius) / lattice.resolution
-        many = edge > most ** (1.0 / n)
-        reach = np.zeros(n)
-        if not many:
-            # |index_i| <= |row i of the inverse basis| * |x|
-            reach = np.linalg.norm(np.linalg.inv(lattice.basis), axis=1) * wide * 1.000001
-        if to == "cell" and self.boxes is not None:
-            many = many or bool(np.prod(2.0 * reach + 1.0) > _STAMPED_BOXES * most)
-        if many:
-            nodes = np.flatnonzero(free)
-            free[nodes[self.distances(window, nodes, radius, to, bound) < bound]] = 0
-            return
-        if to == "cell" and self.boxes is not None:
-            self._block_near_boxes(window, self.boxes, reach, bound, free)
-            return
-        top = np.floor(reach).astype(np.int64)
-        box = np.indices(tuple(int(t) for t in 2 * top + 1)).reshape(n, -1).T - top
-        away = np.sqrt((lattice.centres(box) ** 2).sum(axis=1))
-        if to == "cell":
-            # Few of a sheared basis's box can be near.
-            box = box[away < wide * 1.000001]
-            away = bodies.offsets(lattice.centres(box))
-        ball = np.ascontiguousarray(box[away < bound])
-        kernels.block_around(
-            self.find(window), ball, window.first, window.inner_shape, window.pad, window.strides, free
-        )
-        if to == "cell" and self.solid is not None:
+
+class CellObstacles:
+    """Whole Voronoi cells: those on the surface as bodies, those beneath it as bits."""
+
+    def __init__(self, lattice: Lattice, found: FoundCells) -> None:
+        """Take the cells that were found."""
+        self._lattice, self._found = lattice, found
+        self._bodies = Bodies.of_cells(lattice, found.cells)
+        self.covering = self._bodies.covering
+
+    def distances(self, window: Window, flat: NDArray[np.int64], limit: float, enough: float) -> NDArray[np.float64]:
+        """Return the distance (M,), metres, to the nearest cell; 0 for cells that are obstacles."""
+        return _distances_to_bodies(self._bodies, lambda at, _: self._beneath(at), window, flat, limit, enough)
+
+    def _beneath(self, flat: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell of cells (M,) which are obstacles, where only the surface of these is known as bodies."""
+        solid = self._found.solid
+        if solid is None:
+            return np.zeros(len(flat), np.bool_)
+        return (solid[flat >> 3] >> (7 - (flat & 7)).astype(np.uint8)) & 1 != 0
+
+    def may_stamp(self, reach: NDArray[np.float64], most: int) -> bool:
+        """Always."""
+        return True
+
+    def stamp(self, window: Window, radius: float, reach: NDArray[np.float64], free: NDArray[np.uint8]) -> None:
+        """Stamp the offsets around each cell: which are near depends on the offset alone, not on the cell."""
+        offsets = _offsets_within(reach)
+        away = np.sqrt((self._lattice.centres(offsets) ** 2).sum(axis=1))
+        # Few of a sheared basis's box can be near; the margin covers the rounding of the bound.
+        offsets = offsets[away < (radius + self.covering) * 1.000001]
+        away = self._bodies.offsets(self._lattice.centres(offsets))
+        _stamp_ball(window, self._found.cells, offsets[away < _bound(radius)], free)
+        if self._found.solid is not None:
             # Beneath the surface a cell may be free where the obstacles were told apart from what is blocked.
             for begin in range(0, window.size, CHUNK):
                 end = min(begin + CHUNK, window.size)
-                solid = np.unpackbits(self.solid[begin // 8 : (end + 7) // 8], count=end - begin)
+                solid = np.unpackbits(self._found.solid[begin // 8 : (end + 7) // 8], count=end - begin)
                 free[begin:end][solid != 0] = 0
 
-    def _block_near_boxes(
-        self, window: Window, boxes: Boxes, reach: NDArray[np.float64], bound: float, free: NDArray[np.uint8]
-    ) -> None:
-        """Block the cells that are nearer than ``bound`` to a box, trying ``reach`` (n,) indices around each."""
+
+class BoxObstacles:
+    """Squares or cubes of a map that others made, of which the window's blocked cells are only the image."""
+
+    def __init__(self, boxes: Boxes) -> None:
+        """Take the boxes."""
+        self._boxes = boxes
+        self._bodies = Bodies.of_boxes(boxes)
+        self.covering = self._bodies.covering
+
+    def distances(self, window: Window, flat: NDArray[np.int64], limit: float, enough: float) -> NDArray[np.float64]:
+        """Return the distance (M,), metres, to the nearest box; 0 for cells whose centre is in one."""
+        inside = self._boxes.contains
+        return _distances_to_bodies(self._bodies, lambda _, points: inside(points), window, flat, limit, enough)
+
+    def may_stamp(self, reach: NDArray[np.float64], most: int) -> bool:
+        """Tell whether the boxes of indices are small enough: boxes lie anywhere, so that all of each is tried."""
+        return not bool(np.prod(2.0 * reach + 1.0) > _STAMPED_BOXES * most)
+
+    def stamp(self, window: Window, radius: float, reach: NDArray[np.float64], free: NDArray[np.uint8]) -> None:
+        """Try all cells of the index box around each box."""
         from hexmap.graph import _kernels as kernels
 
-        n = window.lattice.dim
+        boxes, layout, n = self._boxes, window.layout, window.lattice.dim
         # In the plane a dimension without extent comes first, for one loop serves both.
         flat, here = 3 - n, slice(3 - n, 3)
-        columns = np.zeros((3, 3))
+        columns, half = np.zeros((3, 3)), np.zeros(3)
         columns[here, here] = boxes.frame @ window.lattice.basis
-        half = np.zeros(3)
         half[here] = boxes.edge / 2.0
         inverse = np.linalg.inv(window.lattice.basis)
 
         def lifted(values: NDArray[np.int64], fill: int) -> NDArray[np.int64]:
             return np.concatenate([np.full(flat, fill, np.int64), values])
 
-        for begin in range(0, len(boxes.centres), CHUNK):
-            part = boxes.centres[begin : begin + CHUNK]
-            centres, at = np.zeros((len(part), 3)), np.zeros((len(part), 3))
-            centres[:, here] = part @ boxes.frame.T
-            at[:, here] = part @ inverse.T
+        lifted_layout = Layout(
+            lifted(layout.first, 0), lifted(layout.inner, 1), lifted(layout.pad, 0), lifted(layout.strides, 0)
+        )
+        lifted_reach = np.concatenate([np.zeros(flat), reach])
+        for piece in _pieces(len(boxes.centres)):
+            given = boxes.centres[piece]
+            centres, at = np.zeros((len(given), 3)), np.zeros((len(given), 3))
+            centres[:, here] = given @ boxes.frame.T
+            at[:, here] = given @ inverse.T
             kernels.block_around_boxes(
-                centres,
-                at,
-                np.concatenate([np.zeros(flat), reach]),
-                bound,
-                columns,
-                half,
-                boxes.grain,
-                lifted(window.first, 0),
-                lifted(window.inner_shape, 1),
-                lifted(window.pad, 0),
-                lifted(window.strides, 0),
-                free,
+                centres, at, lifted_reach, _bound(radius), columns, half, boxes.grain, lifted_layout, free
             )
+
+
+def _bound(radius: float) -> float:
+    """Return the distance below which a cell is too near for a robot of a radius, metres."""
+    return radius * (1.0 - _NEARER)
+
+
+def _pieces(count: int) -> Iterator[slice]:
+    """Cut ``count`` rows into pieces of bounded size."""
+    for begin in range(0, count, CHUNK):
+        yield slice(begin, begin + CHUNK)
+
+
+def _distances_to_bodies(
+    bodies: Bodies,
+    beneath: Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.bool_]],
+    window: Window,
+    flat: NDArray[np.int64],
+    limit: float,
+    enough: float,
+) -> NDArray[np.float64]:
+    """Return distances (M,) to the bodies of a surface; ``beneath`` tells which cells lie in it, by flat and centre."""
+    out = np.full(len(flat), np.inf)
+    for piece in _pieces(len(flat)):
+        points = window.centres(flat[piece])
+        within = beneath(flat[piece], points)
+        found = np.zeros(len(points))
+        found[~within] = bodies.nearest(points[~within], limit, enough)
+        out[piece] = found
+    return out
+
+
+def _offsets_within(reach: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return all offsets (K, n) of up to ``reach`` (n,) along each index."""
+    top = np.floor(reach).astype(np.int64)
+    return IndexBox.of_corners(-top, top).cells()
+
+
+def _stamp_ball(window: Window, cells: NDArray[np.int64], ball: NDArray[np.int64], free: NDArray[np.uint8]) -> None:
+    """Block what is one of the offsets ``ball`` (B, n) away from one of the cells (M, n)."""
+    from hexmap.graph import _kernels as kernels
+
+    kernels.block_around(cells, np.ascontiguousarray(ball), window.layout, free)
+
+
+class Clearance:
+    """Where clearance is measured from; graphs derived from one another share it, and what it has found.
+
+    Args:
+        cells: tells which cells are obstacles, when first asked for.
+        boxes: makes the boxes that the obstacles truly are, where the cells are only their image.
+    """
+
+    def __init__(self, cells: ObstacleCells, boxes: Callable[[], Boxes] | None = None) -> None:
+        """Take where obstacles come from; nothing is computed yet."""
+        self._source: ObstacleCells | None = cells
+        self._boxes = boxes
+        self._found: FoundCells | None = None
+        self._kinds: dict[To, Obstacles] = {}
+
+    def cells(self, window: Window) -> NDArray[np.int64]:
+        """Return the cells (M, n); computed once, and of blocked cells only those on the surface."""
+        return self._find(window).cells
+
+    def _find(self, window: Window) -> FoundCells:
+        if self._found is None:
+            assert self._source is not None
+            self._found = self._source.find(window)
+            # The states that they were found in may be as large as the window.
+            self._source = None
+        return self._found
+
+    def obstacles(self, window: Window, to: To) -> Obstacles:
+        """Return the obstacles of the kind that clearance to their "centre" or "cell" is measured to; made once."""
+        if to not in self._kinds:
+            made: Obstacles
+            if to == "centre":
+                made = CentreObstacles(window.lattice, self._find(window).cells)
+            elif self._boxes is None:
+                made = CellObstacles(window.lattice, self._find(window))
+            else:
+                made = BoxObstacles(self._boxes())
+            self._kinds[to] = made
+        return self._kinds[to]
+
+    def distances(
+        self, window: Window, flat: NDArray[np.int64], limit: float = math.inf, to: To = "centre"
+    ) -> NDArray[np.float64]:
+        """Return the distance (M,), metres, of cells' centres to the nearest obstacle; inf beyond ``limit``."""
+        return self.obstacles(window, to).distances(window, flat, limit, 0.0)
+
+    def block_near(self, window: Window, radius: float, free: NDArray[np.uint8], to: To = "centre") -> None:
+        """Block the cells of ``free`` (size,) that are nearer to an obstacle than a radius, metres.
+
+        Offsets of all cells in the radius are stamped around the obstacles, or where that may be more than some
+        thousands of them, a search tree is asked for each free cell.
+        """
+        if radius <= 0.0:
+            return
+        obstacles = self.obstacles(window, to)
+        lattice, n = window.lattice, window.lattice.dim
+        wide = radius + obstacles.covering
+        # Over-estimates the lattice points of the ball: one cell's width is added to the radius.
+        edge = 2.0 * (wide + lattice.covering_radius) / lattice.resolution
+        if edge <= _BALL ** (1.0 / n):
+            # |index_i| <= |row i of the inverse basis| * |x|
+            reach = np.linalg.norm(np.linalg.inv(lattice.basis), axis=1) * wide * 1.000001
+            if obstacles.may_stamp(reach, _BALL):
+                obstacles.stamp(window, radius, reach, free)
+                return
+        nodes, bound = np.flatnonzero(free), _bound(radius)
+        free[nodes[obstacles.distances(window, nodes, radius, bound) < bound]] = 0

@@ -1,4 +1,4 @@
-"""The graph layer: where one can go in a window of cells, on any lattice.
+"""The graph layer: which cells of a window are free, and which moves there are between them.
 
 The graph is implicit. A window of cell states lies flat in memory with a blocked padding around it,
 and the moves are constant flat offsets, so that a search needs neither an edge list nor a bounds
@@ -17,16 +17,20 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
-from hexmap.graph.clearance import Obstacles, To, check_to
+from hexmap.graph.bodies import Boxes
+from hexmap.graph.clearance import Clearance, To, check_to
 from hexmap.graph.moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
-from hexmap.graph.window import CHUNK, cells_in_box, window_of_box
+from hexmap.graph.obstacles import BlockedCells, ListedCells
+from hexmap.graph.window import CHUNK, Layout, cells_in_box, window_of_box
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox, strides
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
@@ -39,7 +43,45 @@ __all__ = ["MAX_CELLS", "LatticeGraph", "Neighbourhood", "swept_cells"]
 
 MAX_CELLS = 2_000_000_000
 _FLAT_LIMIT = 2**31 - 1  # labels and parents of a search are int32
-_BALL = 20_000  # offsets of a clearance ball up to which stamping beats a search tree
+
+
+def _window_numbers(lattice: Lattice, first: ArrayLike, inner_shape: ArrayLike) -> tuple[list[int], list[int]]:
+    """Return the first index and the sizes of a window as Python's integers, which do not overflow.
+
+    Raises:
+        ArgumentError: they are not integers, not as many as the lattice has dimensions, or a size is below 1.
+    """
+    n = lattice.dim
+    try:
+        inner = [operator.index(s) for s in np.asarray(inner_shape).ravel()]
+        start = [operator.index(s) for s in np.asarray(first).ravel()]
+    except TypeError as error:
+        raise ArgumentError(f"a window takes integers, not {first!r} and {inner_shape!r}") from error
+    if len(inner) != n or len(start) != n or min(inner) < 1:
+        raise ArgumentError(f"a window on {lattice.name} takes {n} indices and {n} sizes of at least 1, not {inner}")
+    return start, inner
+
+
+def _checked_size(inner: list[int], shape: list[int], most: int) -> int:
+    """Return the number of cells of a window of ``shape``, padding included, before anything is allocated.
+
+    Raises:
+        ArgumentError: it is larger than ``most``.
+    """
+    size = math.prod(shape)
+    if size > most:
+        raise ArgumentError(
+            f"a window of {' x '.join(map(str, inner))} cells is {size} with its padding "
+            f"({size / 2**30:.1f} GiB); at most {most} are allowed: "
+            "choose a smaller box or a coarser resolution"
+        )
+    return size
+
+
+def _joined(lists: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where each list begins in all of them one after the other (K + 1,), and these (S,)."""
+    starts = np.concatenate([[0], np.cumsum([len(s) for s in lists])]).astype(np.int64)
+    return starts, np.ascontiguousarray(np.concatenate(lists), dtype=np.int64)
 
 
 def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -74,6 +116,9 @@ class LatticeGraph:
         equal_edges: whether all lengths are equal (the terrain not considered).
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap import Lattice
+        >>> from hexmap.graph import LatticeGraph
         >>> graph = LatticeGraph.from_states(Lattice.named("A2"), [0, 0], np.ones((3, 3), np.uint8))
         >>> graph.neighbours([0, 0]).tolist()
         [[0, 1], [1, 0]]
@@ -94,43 +139,27 @@ class LatticeGraph:
                 there is no such neighbourhood.
             BoundsError: the window leaves the range of indices.
         """
-        n = lattice.dim
-        try:
-            inner = [operator.index(s) for s in np.asarray(inner_shape).ravel()]
-            start = [operator.index(s) for s in np.asarray(first).ravel()]
-        except TypeError as error:
-            raise ArgumentError(f"a window takes integers, not {first!r} and {inner_shape!r}") from error
-        if len(inner) != n or len(start) != n or min(inner) < 1:
-            raise ArgumentError(
-                f"a window on {lattice.name} takes {n} indices and {n} sizes of at least 1, not {inner}"
-            )
+        start, inner = _window_numbers(lattice, first, inner_shape)
         self.lattice = lattice
         self.moves = moves_of(lattice, neighbourhood)
         self.lengths = lengths_of(lattice, self.moves)
         swept = swept_by_moves(lattice, self.moves)
+        # Wide enough that neither a move, what it sweeps nor a face leads from a cell inside out of the array.
         reach = np.concatenate([self.moves, lattice.faces, *swept])
         self.pad = np.abs(reach).max(axis=0).astype(np.int64)
         shape = [s + 2 * int(p) for s, p in zip(inner, self.pad, strict=True)]
-        # In Python's integers, which do not overflow, and before anything is allocated.
-        self.size = math.prod(shape)
-        if self.size > min(max_cells, _FLAT_LIMIT):
-            raise ArgumentError(
-                f"a window of {' x '.join(map(str, inner))} cells is {self.size} with its padding "
-                f"({self.size / 2**30:.1f} GiB); at most {min(max_cells, _FLAT_LIMIT)} are allowed: "
-                "choose a smaller box or a coarser resolution"
-            )
+        self.size = _checked_size(inner, shape, min(max_cells, _FLAT_LIMIT))
         ends = [start, [a + s - 1 for a, s in zip(start, inner, strict=True)]]
         lattice.check_index(np.array(ends, dtype=object).clip(-(2**62), 2**62).astype(np.int64))
         self.shape = np.array(shape, dtype=np.int64)
         self.low = np.array(start, dtype=np.int64) - self.pad
-        self.strides = np.array([math.prod(shape[i + 1 :]) for i in range(n)], dtype=np.int64)
+        self.strides = strides(self.shape)
         self.offsets = self.moves @ self.strides
-        self.swept_starts = np.concatenate([[0], np.cumsum([len(s) for s in swept])]).astype(np.int64)
-        self.swept = np.ascontiguousarray(np.concatenate(swept) @ self.strides, dtype=np.int64)
+        self.swept_starts, self.swept = _joined([s @ self.strides for s in swept])
         self.free = np.zeros(self.size, np.uint8)
         self.terrain: NDArray[np.float64] | None = None
         self.equal_edges = bool(np.ptp(self.lengths) <= SAME_LENGTH * self.lengths.max())
-        self._obstacles = Obstacles(free=self.free)
+        self._clearance = Clearance(BlockedCells(self.free))
         self._labels: NDArray[np.int32] | None = None
 
     # ------------------------------------------------------------------ where graphs come from
@@ -173,15 +202,14 @@ class LatticeGraph:
             centres = lattice.centres(known)
             slack = 1e-9 * lattice.resolution
             low, high = centres.min(axis=0) - slack, centres.max(axis=0) + slack
-            graph = cls._of_box(lattice, low, high, neighbourhood, max_cells)
+            graph = cls._of_box(lattice, window_of_box(lattice, low, high), neighbourhood, max_cells)
             for flat, _ in cells_in_box(graph, low, high):
                 graph.free[flat] = 1
             graph.free[graph.index_to_flat(states.occupied.index)] = 0
         else:
-            first = known.min(axis=0)
-            graph = cls(lattice, first, known.max(axis=0) - first + 1, neighbourhood, max_cells)
+            graph = cls._of_box(lattice, IndexBox.of_cells(known), neighbourhood, max_cells)
             graph.free[graph.index_to_flat(states.free.index)] = 1
-        graph._obstacles = Obstacles(cells=states.occupied.index.astype(np.int64))
+        graph._clearance = Clearance(ListedCells(states.occupied.index.astype(np.int64)))
         return graph
 
     @classmethod
@@ -213,7 +241,7 @@ class LatticeGraph:
         graph.inner_states()[...] = 1
         flat = graph.index_to_flat(occupied.index)
         graph.free[flat[flat >= 0]] = 0
-        graph._obstacles = Obstacles(cells=occupied.index.astype(np.int64))
+        graph._clearance = Clearance(ListedCells(occupied.index.astype(np.int64)))
         return graph
 
     @classmethod
@@ -228,10 +256,9 @@ class LatticeGraph:
         if len(free) == 0:
             raise ArgumentError("a graph needs at least one cell, and the list is empty")
         index = free.index.astype(np.int64)
-        first = index.min(axis=0)
-        graph = cls(free.lattice, first, index.max(axis=0) - first + 1, neighbourhood, max_cells)
+        graph = cls._of_box(free.lattice, IndexBox.of_cells(index), neighbourhood, max_cells)
         graph.free[graph.index_to_flat(index)] = 1
-        graph._obstacles.outside = True
+        graph._clearance = Clearance(BlockedCells(graph.free, outside=True))
         return graph
 
     @classmethod
@@ -272,6 +299,7 @@ class LatticeGraph:
         neighbourhood: Neighbourhood = None,
         max_cells: int = MAX_CELLS,
         occupied_at: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
+        boxes: Callable[[], Boxes] | None = None,
     ) -> LatticeGraph:
         """Make the graph of anything that can tell whether a point is free, by the cells' centres.
 
@@ -284,6 +312,8 @@ class LatticeGraph:
             max_cells: how large a window may be, padding included.
             occupied_at: tells for each of the same points whether it is an obstacle, where not all
                 that is blocked is one (unknown cells, say).
+            boxes: makes the squares or cubes that the obstacles truly are, where there are any; then
+                clearance "to the cell" is that to these.
 
         Clearance is measured from the blocked cells whose centre is in the box; from those of which
         ``occupied_at`` says so, blocked or not, where it is given.
@@ -297,33 +327,23 @@ class LatticeGraph:
         n = lattice.dim
         if low.shape != (n,) or high.shape != (n,) or not (np.isfinite([low, high]).all() and (low <= high).all()):
             raise ArgumentError(f"a box in dimension {n} takes two corners of {n} finite numbers, the low one first")
-        graph = cls._of_box(lattice, low, high, neighbourhood, max_cells)
-        if occupied_at is not None:
-            graph._obstacles.free = np.ones(graph.size, np.uint8)
+        graph = cls._of_box(lattice, window_of_box(lattice, low, high), neighbourhood, max_cells)
+        states = graph.free if occupied_at is None else np.ones(graph.size, np.uint8)
         centres = 0
         for flat, points in cells_in_box(graph, low, high):
             graph.free[flat] = _answers("free_at", free_at, points)
             if occupied_at is not None:
-                assert graph._obstacles.free is not None
-                graph._obstacles.free[flat] = ~_answers("occupied_at", occupied_at, points)
+                states[flat] = ~_answers("occupied_at", occupied_at, points)
             centres += len(flat)
         if centres == 0:
             raise ArgumentError(f"no centre of a cell lies in the box {low.tolist()} to {high.tolist()}")
-        graph._obstacles.box = (low, high)
+        graph._clearance = Clearance(BlockedCells(states, (low, high)), boxes)
         return graph
 
     @classmethod
-    def _of_box(
-        cls,
-        lattice: Lattice,
-        low: NDArray[np.float64],
-        high: NDArray[np.float64],
-        neighbourhood: Neighbourhood,
-        max_cells: int,
-    ) -> LatticeGraph:
-        """Make a blocked window that holds all cells whose centre is in a box, metres."""
-        first, inner = window_of_box(lattice, low, high)
-        return cls(lattice, first, inner, neighbourhood, max_cells)
+    def _of_box(cls, lattice: Lattice, box: IndexBox, neighbourhood: Neighbourhood, max_cells: int) -> LatticeGraph:
+        """Make a blocked window of the cells of a box."""
+        return cls(lattice, box.low, box.shape, neighbourhood, max_cells)
 
     def _derived(self, free: NDArray[np.uint8] | None, terrain: NDArray[np.float64] | None) -> LatticeGraph:
         """Return the same window with other states or another terrain."""
@@ -347,10 +367,24 @@ class LatticeGraph:
         """(n,) cells along each index, without the padding."""
         return self.shape - 2 * self.pad
 
+    @cached_property
+    def box(self) -> IndexBox:
+        """The box of all cells, padding included."""
+        return IndexBox(self.low, self.shape)
+
+    @cached_property
+    def inner_box(self) -> IndexBox:
+        """The box of the cells inside the padding."""
+        return IndexBox(self.first, self.inner_shape)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """How the cells lie in memory, for kernels."""
+        return Layout(self.first, self.inner_shape, self.pad, self.strides)
+
     def inner_states(self) -> NDArray[np.uint8]:
         """Return the states without the padding, as a view with a dimension an index."""
-        cut = tuple(slice(int(p), int(s - p)) for p, s in zip(self.pad, self.shape, strict=True))
-        return self.free.reshape(tuple(int(s) for s in self.shape))[cut]
+        return self.box.without_padding(self.free, self.pad)
 
     def index_to_flat(self, index: ArrayLike) -> NDArray[np.int64]:
         """Return the flat positions (M,) of cells (M, n); -1 outside the window and in its padding."""
@@ -359,9 +393,9 @@ class LatticeGraph:
             i = np.empty((0, self.lattice.dim), np.int64)
         if i.ndim != 2 or i.shape[1] != self.lattice.dim or not np.issubdtype(i.dtype, np.integer):
             raise ArgumentError(f"indices must be integers (M, {self.lattice.dim}), not {i.dtype} {i.shape}")
-        inside = np.all((i >= self.first) & (i < self.first + self.inner_shape), axis=1)
-        relative = np.where(inside[:, None], i, self.low).astype(np.int64) - self.low
-        return np.where(inside, relative @ self.strides, -1)
+        inside = self.inner_box.contains(i)
+        # Indices far outside may be beyond the range in which positions can be computed.
+        return np.where(inside, self.box.flat(np.where(inside[:, None], i, self.low)), -1)
 
     def flat_to_index(self, flat: ArrayLike) -> NDArray[np.int32]:
         """Return the indices (M, n) int32 of flat positions (M,).
@@ -372,8 +406,7 @@ class LatticeGraph:
         f = np.asarray(flat)
         if f.ndim != 1 or (f.size and (not np.issubdtype(f.dtype, np.integer) or f.min() < 0 or f.max() >= self.size)):
             raise ArgumentError(f"flat positions must be integers (M,) from 0 to {self.size - 1}")
-        index = np.stack(np.unravel_index(f.astype(np.int64), tuple(int(s) for s in self.shape)), axis=1) + self.low
-        return np.asarray(index, dtype=np.int32)
+        return np.asarray(self.box.index(f.astype(np.int64)), dtype=np.int32)
 
     def centres(self, flat: ArrayLike) -> NDArray[np.float64]:
         """Return the centres (M, n), metres, of the cells at flat positions (M,)."""
@@ -428,11 +461,9 @@ class LatticeGraph:
         nodes = np.flatnonzero(self.free).astype(np.int64)
         # By flat offset, so that the columns of each row ascend, as scipy wants them.
         order = np.argsort(self.offsets)
-        swept = [self.swept[self.swept_starts[k] : self.swept_starts[k + 1]] for k in order]
-        starts = np.concatenate([[0], np.cumsum([len(s) for s in swept])]).astype(np.int64)
-        offsets, flat_swept = self.offsets[order], np.concatenate(swept)
+        offsets, starts, swept = self._some_moves(order)
         rows = np.empty(len(nodes) + 1, np.int64)
-        kernels.count_edges(self.free, nodes, offsets, starts, flat_swept, rows)
+        kernels.count_edges(self.free, nodes, offsets, starts, swept, rows)
         number = np.empty(self.size, np.int32)
         number[nodes] = np.arange(len(nodes), dtype=np.int32)
         wide = rows[-1] > _FLAT_LIMIT
@@ -440,10 +471,15 @@ class LatticeGraph:
         costs = np.empty(rows[-1], np.float64)
         terrain = np.empty(0) if self.terrain is None else self.terrain
         kernels.fill_edges(
-            self.free, nodes, offsets, starts, flat_swept, self.lengths[order], terrain, number, columns, costs
+            self.free, nodes, offsets, starts, swept, self.lengths[order], terrain, number, columns, costs
         )
         rows = rows if wide else rows.astype(np.int32)
         return csr_matrix((costs, columns, rows), shape=(len(nodes), len(nodes))), nodes
+
+    def _some_moves(self, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Return offsets, starts and swept cells, as the graph's attributes are, of some moves in another order."""
+        starts, swept = _joined([self.swept[self.swept_starts[k] : self.swept_starts[k + 1]] for k in which])
+        return self.offsets[which], starts, swept
 
     def to_networkx(self) -> networkx.Graph:
         """Return the graph for networkx: nodes are index tuples, ``weight`` is the cost of a move, metres."""
@@ -473,12 +509,14 @@ class LatticeGraph:
         if self._labels is None:
             from hexmap.graph import _kernels as kernels
 
-            back = np.flatnonzero(self.offsets < 0)
-            swept = [self.swept[self.swept_starts[k] : self.swept_starts[k + 1]] for k in back]
-            starts = np.concatenate([[0], np.cumsum([len(s) for s in swept])]).astype(np.int64)
             labels = np.empty(self.size, np.int32)
-            kernels.label(self.free, self.offsets[back], starts, np.concatenate(swept), labels)
+            kernels.label(self.free, *self._some_moves(np.flatnonzero(self.offsets < 0)), labels)
             self._labels = labels
+        return self._labels
+
+    @property
+    def known_components(self) -> NDArray[np.int32] | None:
+        """What :meth:`components` has returned, or None while nobody has asked."""
         return self._labels
 
     def connected(self, a: ArrayLike, b: ArrayLike) -> bool:
@@ -497,9 +535,9 @@ class LatticeGraph:
         All occupied cells of a map or a list of voxels; of blocked cells only those on the surface,
         which are the ones that can be nearest. Graphs made from this one by ``with_...`` keep them. In
         a graph of a :class:`~hexmap.io.grids.GridMap` clearance "to the cell" is measured from the
-        world's own cells in their place.
+        grid's own cells instead.
         """
-        return self._obstacles.find(self)
+        return self._clearance.cells(self)
 
     def _inner_flat(self) -> NDArray[np.int64]:
         """Return the flat positions of all cells inside the padding."""
@@ -519,7 +557,7 @@ class LatticeGraph:
                 its centre. Obstacles on the surface have 0, those inside a solid their distance to
                 its surface. "cell" for the distance to the nearest point of any obstacle, of which
                 each fills its closed Voronoi cell, and in a graph of a
-                :class:`~hexmap.io.grids.GridMap` of the world's own blocked squares or cubes, also of
+                :class:`~hexmap.io.grids.GridMap` of the grid's own blocked squares or cubes, also of
                 those that hold no centre. Cells whose centre is in or on an obstacle have 0.
 
         Raises:
@@ -528,7 +566,7 @@ class LatticeGraph:
         check_to(to)
         out = np.zeros(self.size, np.float64)
         inner = self._inner_flat()
-        out[inner] = self._obstacles.distances(self, inner, to=to)
+        out[inner] = self._clearance.distances(self, inner, to=to)
         return out
 
     def clearance_at(self, flat: ArrayLike, to: To = "centre") -> NDArray[np.float64]:
@@ -543,7 +581,7 @@ class LatticeGraph:
         check_to(to)
         at = np.asarray(flat)
         self.flat_to_index(at)
-        return self._obstacles.distances(self, at.astype(np.int64), to=to)
+        return self._clearance.distances(self, at.astype(np.int64), to=to)
 
     def with_clearance(self, radius: float, to: To = "centre") -> LatticeGraph:
         """Return the graph for a robot of a radius, metres: cells nearer than that to an obstacle are blocked.
@@ -561,7 +599,7 @@ class LatticeGraph:
         if not (math.isfinite(radius) and radius >= 0.0):
             raise ArgumentError(f"a radius must be a number of metres, 0 or more, not {radius!r}")
         free = self.free.copy()
-        self._obstacles.block_near(self, radius, free, _BALL, to)
+        self._clearance.block_near(self, radius, free, to)
         return self._derived(free, self.terrain)
 
     # ------------------------------------------------------------------ terrain
@@ -578,20 +616,23 @@ class LatticeGraph:
         """
         nodes = np.flatnonzero(self.free)
         if callable(terrain):
-            given = [np.atleast_1d(terrain(self.centres(nodes[k : k + CHUNK]))) for k in range(0, len(nodes), CHUNK)]
-            values = np.concatenate(given).astype(np.float64) if given else np.empty(0)
-            if values.shape != (len(nodes),):
-                raise ArgumentError(f"the terrain must answer {len(nodes)} points, not with an array {values.shape}")
-        else:
-            array = np.asarray(terrain, dtype=np.float64)
-            if array.shape == (self.size,):
-                values = array[nodes]
-            elif array.shape == tuple(int(s) for s in self.inner_shape):
-                values = array[self.inner_states() != 0]
-            else:
-                inner = tuple(int(s) for s in self.inner_shape)
-                raise ArgumentError(f"the terrain must be ({self.size},) or {inner}, not {array.shape}")
-        return self._with_values(nodes, values)
+            return self._with_values(nodes, self._terrain_of_function(nodes, terrain))
+        array, inner = np.asarray(terrain, dtype=np.float64), self.inner_box.dims
+        if array.shape == (self.size,):
+            return self._with_values(nodes, array[nodes])
+        if array.shape == inner:
+            return self._with_values(nodes, array[self.inner_states() != 0])
+        raise ArgumentError(f"the terrain must be ({self.size},) or {inner}, not {array.shape}")
+
+    def _terrain_of_function(
+        self, nodes: NDArray[np.int64], terrain: Callable[[NDArray[np.float64]], ArrayLike]
+    ) -> NDArray[np.float64]:
+        """Return what a user's function says of the centres of the free cells ``nodes`` (M,), as (M,) numbers."""
+        given = [np.atleast_1d(terrain(self.centres(nodes[k : k + CHUNK]))) for k in range(0, len(nodes), CHUNK)]
+        values = np.concatenate(given).astype(np.float64) if given else np.empty(0)
+        if values.shape != (len(nodes),):
+            raise ArgumentError(f"the terrain must answer {len(nodes)} points, not with an array {values.shape}")
+        return values
 
     def with_soft_clearance(self, reach: float, weight: float, to: To = "centre") -> LatticeGraph:
         """Return the graph with costs that keep paths off walls.
@@ -611,7 +652,7 @@ class LatticeGraph:
         if not (math.isfinite(reach) and reach > 0.0 and math.isfinite(weight) and weight >= 0.0):
             raise ArgumentError(f"a soft clearance takes a reach > 0 and a weight >= 0, not {reach!r} and {weight!r}")
         nodes = np.flatnonzero(self.free)
-        near = np.maximum(1.0 - self._obstacles.distances(self, nodes, reach, to) / reach, 0.0)
+        near = np.maximum(1.0 - self._clearance.distances(self, nodes, reach, to) / reach, 0.0)
         values = 1.0 + weight * near**2
         return self._with_values(nodes, values if self.terrain is None else values * self.terrain[nodes])
 

@@ -9,12 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 
 __all__ = ["SAME_LENGTH", "Neighbourhood", "lengths_of", "moves_of", "swept_by_moves", "swept_cells"]
 
 Neighbourhood: TypeAlias = Literal["nearest", "faces", "extended"] | int | None
-SAME_LENGTH = 1e-12  # lengths that agree to this part are the same
-_TOUCH = 1e-9  # a cell is swept if the line comes this near to it, in parts of its width
+SAME_LENGTH = 1e-12  # lengths that agree to this fraction are the same
+_TOUCH = 1e-9  # a cell is swept if the line comes this near to it, as a fraction of its width
 
 
 def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
@@ -24,6 +25,8 @@ def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
     but for the two ends; lexicographically ascending, none for a move across a face.
 
     Examples:
+        >>> from hexmap import Lattice
+        >>> from hexmap.graph import swept_cells
         >>> swept_cells(Lattice.named("Z2"), [1, 1]).tolist()
         [[0, 1], [1, 0]]
     """
@@ -40,7 +43,7 @@ def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
     low, high = np.minimum(towards, 0) - margin, np.maximum(towards, 0) + margin
     to_reduced = lattice.reduced_index(np.eye(lattice.dim, dtype=np.int64)).T
     to_public = np.rint(np.linalg.inv(to_reduced)).astype(np.int64)
-    cells = np.indices(high - low + 1).reshape(lattice.dim, -1).T + low
+    cells = IndexBox.of_corners(low, high).cells()
     # The point t v is in the closed cell around c where t (v G f) <= f G f / 2 + c G f for all faces f.
     rate = tables.planes @ towards
     room = tables.half * (1.0 + 2.0 * _TOUCH) + cells @ tables.planes.T

@@ -15,13 +15,11 @@ from hexmap.base.atomic_files import PathLike, atomic_write
 from hexmap.base.errors import ArgumentError
 from hexmap.io.ros_map import export_ros
 from hexmap.lattice.keys import unpack
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Map
-from hexmap.maps.state_rule import FREE, OCCUPIED, StateRule
+from hexmap.maps.state_rule import StateRule
 
 __all__ = ["export", "export_csv", "export_ply", "export_ros"]
-
-
-_STATE_NAMES = ("unknown", "free", "occupied")
 
 
 def export(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
@@ -38,7 +36,7 @@ def export(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = No
         The files written.
 
     Raises:
-        ArgumentError: a suffix that is not known, a level that the map has not, or a map in space
+        ArgumentError: a suffix that is not known, a level that the map does not have, or a map in space
             for ROS.
         FileAccessError: a file cannot be written.
     """
@@ -81,11 +79,12 @@ def export_csv(map: Map, path: PathLike, level: int = 0, rule: StateRule | None 
     lattice = map.level(level).lattice
     index = unpack(keys, lattice.dim)
     # The lists of occupied and free cells are sorted as the keys are: no need to look each cell up.
-    state = np.zeros(len(keys), np.int64)
-    state[np.searchsorted(keys, states.free.keys)] = FREE
-    state[np.searchsorted(keys, states.occupied.keys)] = OCCUPIED
+    state = np.full(len(keys), CellState.UNKNOWN, np.uint8)
+    state[np.searchsorted(keys, states.free.keys)] = CellState.FREE
+    state[np.searchsorted(keys, states.occupied.keys)] = CellState.OCCUPIED
+    names = [known.name.lower() for known in CellState]
     columns: list[list[object]] = [*index.T.tolist(), *lattice.centres(index).T.tolist()]
-    columns += [hits.tolist(), passes.tolist(), [_STATE_NAMES[s] for s in state.tolist()]]
+    columns += [hits.tolist(), passes.tolist(), [names[s] for s in state.tolist()]]
     line = f"{level}," + ",".join(["%s"] * len(columns)) + "\n"
     axes, places = ("a", "b", "c")[: lattice.dim], ("x", "y", "z")[: lattice.dim]
     with atomic_write(path, "w") as handle:

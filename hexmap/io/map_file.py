@@ -23,7 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
-from hexmap.base.errors import FileAccessError, FormatError, HexmapError
+from hexmap.base.errors import FormatError, HexmapError
+from hexmap.base.text import quoted, reason
+from hexmap.io.file_kinds import PARQUET
+from hexmap.io.read_file import cannot_read
 from hexmap.lattice.keys import pack, unpack
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
@@ -33,7 +36,6 @@ __all__ = ["FORMAT_VERSION", "load_map", "read_metadata", "save_map"]
 
 FORMAT_VERSION = 1
 _KEY = b"hexmap"
-_MAGIC = b"PAR1"
 _AXES = ("a", "b", "c")
 _MAX_LEVELS = 16
 
@@ -50,6 +52,9 @@ def save_map(path: str | os.PathLike[str], map: Map) -> None:
 
     Examples:
         >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hexmap import Lattice, Map, VoxelList, load_map, save_map
+        >>> from hexmap.maps import Level
         >>> hexagons = Lattice.named("A2", resolution=0.1)
         >>> hits = VoxelList.from_points([[0.02, 0.31]], hexagons)
         >>> with tempfile.TemporaryDirectory() as folder:
@@ -201,25 +206,25 @@ def _header(path: Path, metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
     try:
         header = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: damaged map: its metadata is not JSON: {_one_line(error)}") from error
+        raise FormatError(f"{path}: damaged map: its metadata is not JSON: {reason(error)}") from error
     if not isinstance(header, dict) or "format" not in header:
         raise FormatError(f"{path}: damaged map: its metadata names no format version")
     version = header["format"]
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        raise FormatError(f"{path}: damaged map: its format version is {_shown(version)}")
+        raise FormatError(f"{path}: damaged map: its format version is {quoted(version)}")
     if version > FORMAT_VERSION:
         raise FormatError(
             f"{path}: written by a newer hexmap: format version {version}, this one reads up to {FORMAT_VERSION}"
         )
-    # Parquet guards its pages with checksums and not its metadata, where the basis is. Who edits the
-    # metadata leaves the checksum out.
+    # Parquet has checksums for its pages but not for its metadata, which holds the basis. Metadata that was
+    # edited by hand comes without the checksum.
     stated = header.pop("crc32", None)
     if stated is not None and stated != zlib.crc32(_recode(path, header)):
         raise FormatError(f"{path}: damaged map: its metadata does not fit its checksum 'crc32'")
     if header.get("kind") != "map":
-        raise FormatError(f"{path}: not a map: its metadata says {_shown(header.get('kind'))}")
+        raise FormatError(f"{path}: not a map: its metadata says {quoted(header.get('kind'))}")
     if not isinstance(header.get("frame"), str):
-        raise FormatError(f"{path}: damaged map: its frame is {_shown(header.get('frame'))}, not a name")
+        raise FormatError(f"{path}: damaged map: its frame is {quoted(header.get('frame'))}, not a name")
     provenance = header.get("provenance")
     if not isinstance(provenance, list) or not all(isinstance(entry, (str, dict)) for entry in provenance):
         raise FormatError(f"{path}: damaged map: its provenance is not a list of texts or objects")
@@ -242,7 +247,7 @@ def _lattice(path: Path, header: dict[str, Any]) -> Lattice:
     stated = header.get("resolution")
     if not isinstance(stated, (int, float)) or not math.isclose(stated, lattice.resolution, rel_tol=1e-6):
         raise FormatError(
-            f"{path}: damaged map: it states a resolution of {_shown(stated)}, "
+            f"{path}: damaged map: it states a resolution of {quoted(stated)}, "
             f"its lattice's basis gives {lattice.resolution:g} m"
         )
     return lattice
@@ -251,7 +256,7 @@ def _lattice(path: Path, header: dict[str, Any]) -> Lattice:
 def _levels(path: Path, header: dict[str, Any]) -> int:
     levels = header.get("levels")
     if not isinstance(levels, int) or isinstance(levels, bool) or not 1 <= levels <= _MAX_LEVELS:
-        raise FormatError(f"{path}: damaged map: it has {_shown(levels)} levels, not 1 to {_MAX_LEVELS}")
+        raise FormatError(f"{path}: damaged map: it has {quoted(levels)} levels, not 1 to {_MAX_LEVELS}")
     return levels
 
 
@@ -262,7 +267,7 @@ def _open(path: Path) -> IO[bytes]:
     try:
         return open(path, "rb")
     except OSError as error:
-        raise FileAccessError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise cannot_read(path, error) from error
 
 
 def _parquet(path: Path, handle: IO[bytes]) -> Any:
@@ -277,12 +282,12 @@ def _parquet(path: Path, handle: IO[bytes]) -> Any:
         tail = handle.read(4)
         handle.seek(0)
     except OSError as error:
-        raise FileAccessError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise cannot_read(path, error) from error
     if size == 0:
         raise FormatError(f"{path}: not a map: the file is empty")
-    if head != _MAGIC:
-        raise FormatError(f"{path}: not a map: not a Parquet file (it begins with {_shown(head)})")
-    if tail != _MAGIC:
+    if not PARQUET.begins(head):
+        raise FormatError(f"{path}: not a map: not a Parquet file (it begins with {quoted(head)})")
+    if not PARQUET.begins(tail):
         raise FormatError(f"{path}: damaged map: the file is cut off at {size} bytes")
     try:
         file = pq.ParquetFile(handle, page_checksum_verification=True)
@@ -290,7 +295,7 @@ def _parquet(path: Path, handle: IO[bytes]) -> Any:
         counts = {group.num_rows == group.column(j).num_values for group in groups for j in range(group.num_columns)}
         total = sum(group.num_rows for group in groups)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise FormatError(f"{path}: damaged map: {_one_line(error)}") from error
+        raise FormatError(f"{path}: damaged map: {reason(error)}") from error
     # pyarrow reads as many rows as it is told, and has no checksum for where it is told so.
     if total != file.metadata.num_rows or not counts <= {True}:
         raise FormatError(f"{path}: damaged map: its numbers of rows do not agree")
@@ -310,7 +315,7 @@ def _read(path: Path, file: Any, names: tuple[str, ...]) -> list[NDArray[np.int6
     except FormatError:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise FormatError(f"{path}: damaged map: {_one_line(error)}") from error
+        raise FormatError(f"{path}: damaged map: {reason(error)}") from error
 
 
 def _build(path: Path, header: dict[str, Any], lattice: Lattice, count: int, columns: list[NDArray[np.int64]]) -> Map:
@@ -350,19 +355,3 @@ def _build(path: Path, header: dict[str, Any], lattice: Lattice, count: int, col
 def _after_first(bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Turn a mask of pairs of rows into one of rows, the later one of each pair."""
     return np.concatenate([np.zeros(1, np.bool_), bad])
-
-
-# ---------------------------------------------------------------------- messages
-
-
-def _one_line(error: BaseException) -> str:
-    """Return the first line of an error's text, without what a terminal should not see."""
-    lines = str(error).strip().splitlines()
-    line = lines[0][:160] if lines else type(error).__name__
-    return line if line.isprintable() else ascii(line)[1:-1]
-
-
-def _shown(value: Any) -> str:
-    """Return a value as it stands in a message: short and printable."""
-    text = ascii(value)
-    return text if len(text) <= 40 else text[:37] + "..."

@@ -13,9 +13,11 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.atomic_files import atomic_write
-from hexmap.base.errors import ArgumentError, FileAccessError, TrajectoryError
+from hexmap.base.errors import ArgumentError, TrajectoryError
+from hexmap.base.text import shown
+from hexmap.io.read_file import cannot_read
 from hexmap.poses.pose import Pose
-from hexmap.poses.rotations import quaternions_to_rotations
+from hexmap.poses.rotations import euler_to_quaternions, quaternions_to_rotations
 from hexmap.poses.trajectory import Relations, Trajectory
 
 
@@ -60,6 +62,9 @@ class TumWriter:
 
     Examples:
         >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hexmap import Pose
+        >>> from hexmap.io.trajectories import TumWriter
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     with TumWriter(Path(folder) / "a.tum") as writer:
         ...         writer.append(0.5, Pose.planar(1.0, 2.0, 0.0))
@@ -120,18 +125,8 @@ def read_relations(path: str | os.PathLike[str]) -> Relations:
             text names file, line and value.
     """
     table, _ = _read_table(path, ("t1", "t2", "dx", "dy", "dz", "roll", "pitch", "yaw"), "relations")
-    half = 0.5 * table[:, 5:8]
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    quaternions = np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
-    return Relations(table[:, 0], table[:, 1], table[:, 2:5], quaternions_to_rotations(quaternions))
+    rotations = quaternions_to_rotations(euler_to_quaternions(table[:, 5:8]))
+    return Relations(table[:, 0], table[:, 1], table[:, 2:5], rotations)
 
 
 def _read_table(path: str | os.PathLike[str], columns: tuple[str, ...], what: str) -> tuple[FloatArray, list[int]]:
@@ -154,7 +149,7 @@ def _read_table(path: str | os.PathLike[str], columns: tuple[str, ...], what: st
                 rows.append(row)
                 lines.append(number)
     except OSError as error:
-        raise FileAccessError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise cannot_read(path, error) from error
     if not rows:
         raise TrajectoryError(f"{path}: no {what} in the file")
     return np.array(rows, dtype=np.float64), lines
@@ -162,14 +157,11 @@ def _read_table(path: str | os.PathLike[str], columns: tuple[str, ...], what: st
 
 def _complaint(tokens: list[bytes], columns: tuple[str, ...]) -> str:
     for token in tokens:
-        text = token[:24].decode("utf-8", "replace")
-        # A binary file ends here on its first line: escape what a terminal should not see.
-        shown = text if text.isprintable() else ascii(text)[1:-1]
         try:
             if not math.isfinite(float(token)):
-                return f"'{shown}' is not finite"
+                return f"'{shown(token)}' is not finite"
         except ValueError:
-            return f"'{shown}' is not a number; expected: {' '.join(columns)}"
+            return f"'{shown(token)}' is not a number; expected: {' '.join(columns)}"
     if len(tokens) == len(columns):
         return "the numbers are too large"
     return f"{len(tokens)} numbers, expected {len(columns)}: {' '.join(columns)}"

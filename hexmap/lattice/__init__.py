@@ -1,6 +1,8 @@
 """Lattices as values: quantising, cells and neighbours, packed indices, rays through cells, dense boxes of indices.
 
-The mathematics of every lattice is here, and no other package asks a lattice for its name.
+``lattice`` is the value that everything is made of, ``geometry`` its mathematics, ``keys`` the packed indices,
+``rays`` the cells that a line passes, ``window`` the boxes of indices behind dense arrays. No other package asks a
+lattice for its name.
 """
 
 from __future__ import annotations

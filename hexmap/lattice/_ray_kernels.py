@@ -20,8 +20,9 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def count_bound(start, end, planes, half):
+def count_bound(start, end, tables):
     """Return for each ray an upper bound of the number of its cells: walls it can cross, plus two."""
+    planes, half = tables.planes, tables.half
     n = start.shape[1]
     out = np.empty(start.shape[0], dtype=np.int64)
     for r in range(start.shape[0]):
@@ -30,6 +31,7 @@ def count_bound(start, end, planes, half):
             rate = 0.0
             for i in range(n):
                 rate += (end[r, i] - start[r, i]) * planes[k, i]
+            # The walls of one face stand v G v = 2 half apart; only those ahead are crossed, one more by rounding.
             if rate > 0.0:
                 total += np.int64(rate / (2.0 * half[k])) + 2
         out[r] = total
@@ -37,22 +39,48 @@ def count_bound(start, end, planes, half):
 
 
 @njit(cache=True, nogil=True)
-def traverse(start, end, start_offset, first, last, planes, half, products, vectors, room, out, ends):
+def _first_reached(times, rates, ahead, vectors, m):
+    """Return which of the ``m`` faces ahead the ray reaches first, by the tie rule where it reaches several."""
+    best = 0
+    for j in range(1, m):
+        if times[j] < times[best]:
+            best = j
+        elif times[j] == times[best]:
+            # Both at once: the face whose v / (d G v) is lexicographically less would be first for a ray moved
+            # a little towards lower indices.
+            a = ahead[j]
+            b = ahead[best]
+            for i in range(vectors.shape[1]):
+                va = vectors[a, i] / rates[j]
+                vb = vectors[b, i] / rates[best]
+                if va < vb:
+                    best = j
+                    break
+                if va > vb:
+                    break
+    return best
+
+
+@njit(cache=True, nogil=True)
+def traverse(start, end, start_offset, first, last, tables, room, out, ends):
     """Write the cells of each ray into ``out`` and where each ray's cells end into ``ends``.
 
     ``start``, ``end`` (R, n) are reduced coordinates; ``start_offset`` (R, n) those of the start
-    minus its cell; ``first``, ``last`` (R, n) the end cells in the public basis; ``vectors`` the
-    faces in the public basis, ``planes`` G v in the reduced one, ``products`` v G w.
+    minus its cell; ``first``, ``last`` (R, n) the end cells in the public basis; ``tables`` the
+    faces (:class:`hexmap.lattice.lattice.RayTables`); ``room`` (R,) the bounds of :func:`count_bound`.
     """
+    vectors, planes, half, products = tables.vectors, tables.planes, tables.half, tables.products
     n = start.shape[1]
     faces = planes.shape[0]
-    times = np.empty(faces)
-    gaps = np.empty(faces)
-    rates = np.empty(faces)
+    # Of the m faces that the ray can leave through: which, how fast it nears them, how far off they are, and when.
     ahead = np.empty(faces, dtype=np.int64)
+    rates = np.empty(faces)
+    gaps = np.empty(faces)
+    times = np.empty(faces)
     cell = np.empty(n, dtype=np.int64)
     w = 0
     for r in range(start.shape[0]):
+        # The faces ahead: d G v > 0. A ray never leaves through the others, in whichever cell it is.
         m = 0
         for k in range(faces):
             rate = 0.0
@@ -66,6 +94,7 @@ def traverse(start, end, start_offset, first, last, planes, half, products, vect
                 gaps[m] = gap
                 times[m] = gap / rate
                 m += 1
+        # The walk ends where all indices are those of the last cell, which ``missing`` counts as it goes.
         missing = 0
         for i in range(n):
             cell[i] = first[r, i]
@@ -75,23 +104,10 @@ def traverse(start, end, start_offset, first, last, planes, half, products, vect
         steps = 0
         while missing > 0 and steps < room[r]:
             steps += 1
-            best = 0
-            for j in range(1, m):
-                if times[j] < times[best]:
-                    best = j
-                elif times[j] == times[best]:
-                    a = ahead[j]
-                    b = ahead[best]
-                    for i in range(n):
-                        va = vectors[a, i] / rates[j]
-                        vb = vectors[b, i] / rates[best]
-                        if va < vb:
-                            best = j
-                            break
-                        if va > vb:
-                            break
+            best = _first_reached(times, rates, ahead, vectors, m)
             t = times[best]
-            # Rounding may put a corner at the end of the ray on the other side: never go past the end.
+            # A cell that is left when it is entered is met in a point and left out. Rounding may put a corner at
+            # the end of the ray on the other side: never go past the end.
             if min(t, 1.0) > entered:
                 for i in range(n):
                     out[w, i] = cell[i]
@@ -99,6 +115,8 @@ def traverse(start, end, start_offset, first, last, planes, half, products, vect
                 entered = max(t, 0.0)
             if t > 1.0:
                 break
+            # Step across the face. Seen from the next cell every face w has moved away by v G w, which is exact
+            # where G is integer: gaps do not drift, however long the ray.
             k = ahead[best]
             missing = 0
             for i in range(n):
@@ -108,6 +126,7 @@ def traverse(start, end, start_offset, first, last, planes, half, products, vect
             for j in range(m):
                 gaps[j] += products[k, ahead[j]]
                 times[j] = gaps[j] / rates[j]
+        # The quantiser says which cell the end is in, also on a wall.
         for i in range(n):
             out[w, i] = last[r, i]
         w += 1

@@ -18,7 +18,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import LatticeError
 
-# Two squared lengths are the same shell when they differ by less than this part of themselves.
+# Two squared lengths are the same shell when they differ by less than this fraction of themselves.
 SAME_LENGTH = 1e-9
 
 
@@ -133,7 +133,7 @@ def cell_polytope(faces: FloatArray) -> tuple[FloatArray, list[IntArray]]:
     return vertices, rings
 
 
-def _cone_bases(vertices: FloatArray, rings: list[IntArray]) -> FloatArray:
+def cone_bases(vertices: FloatArray, rings: list[IntArray]) -> FloatArray:
     """Return the faces cut into simplices (K, n, n): edges in the plane, triangles in space."""
     simplices = []
     for ring in rings:
@@ -153,7 +153,7 @@ def second_moment(vertices: FloatArray, rings: list[IntArray]) -> float:
     v (|sum p|^2 + sum |p|^2) / ((n + 1)(n + 2)); here p_0 is the centre of the cell.
     """
     n = vertices.shape[1]
-    bases = _cone_bases(vertices, rings)
+    bases = cone_bases(vertices, rings)
     volumes = np.abs(np.linalg.det(bases)) / math.factorial(n)
     inner = ((bases.sum(axis=1)) ** 2).sum(axis=1) + (bases**2).sum(axis=(1, 2))
     total = float((volumes * inner).sum()) / ((n + 1) * (n + 2))
@@ -168,7 +168,7 @@ def mean_error(vertices: FloatArray, rings: list[IntArray]) -> float:
     Gauss-Legendre quadrature of 24 points a direction on the simplices of the face (15 digits).
     """
     n = vertices.shape[1]
-    bases = _cone_bases(vertices, rings)
+    bases = cone_bases(vertices, rings)
     volumes = np.abs(np.linalg.det(bases)) / math.factorial(n)
     nodes, weights = np.polynomial.legendre.leggauss(24)
     nodes, weights = 0.5 * (nodes + 1), 0.5 * weights

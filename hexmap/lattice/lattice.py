@@ -34,6 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.arrays import FloatArray, multiply
 from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
 from hexmap.lattice import geometry as geometry
+from hexmap.lattice.window import IndexBox
 
 __all__ = ["NAMES", "Cell", "Lattice", "default_name"]
 
@@ -109,7 +110,7 @@ class Cell:
     @cached_property
     def volume(self) -> float:
         """Area (m^2) or volume (m^3), from the polytope and not from the determinant."""
-        bases = geometry._cone_bases(self.vertices, self.rings)
+        bases = geometry.cone_bases(self.vertices, self.rings)
         return float(np.abs(np.linalg.det(bases)).sum()) / math.factorial(self.vertices.shape[1])
 
 
@@ -121,6 +122,7 @@ class Lattice:
         name: what to call it in print; it decides nothing.
 
     Examples:
+        >>> from hexmap import Lattice
         >>> hexagons = Lattice.named("A2", resolution=0.1)
         >>> hexagons.quantise([[0.02, 0.31]]).tolist()
         [[0, 3]]
@@ -419,7 +421,7 @@ class Lattice:
 
     @property
     def packing_density(self) -> float:
-        """Part of the plane or of space filled by the balls in the cells."""
+        """Fraction of the plane or of space that the balls in the cells fill."""
         return _ball(self.dim) * self.inradius**self.dim / self.cell_volume
 
     @property
@@ -459,12 +461,12 @@ class Lattice:
         return np.ceil(np.maximum(gauge, 0.0) - 1e-7).astype(np.int64)
 
     def _ball_offsets(self, radius: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the offsets (K, n) of up to ``radius`` steps, lexicographically, and the steps (K,) of each."""
         radius = operator.index(radius)
         if radius < 0:
             raise ArgumentError(f"a number of steps cannot be negative, as {radius} is")
         reach = radius * np.abs(self.neighbours).max(axis=0)
-        grids = np.meshgrid(*[np.arange(-r, r + 1) for r in reach], indexing="ij")
-        offsets = np.stack([g.ravel() for g in grids], axis=1).astype(np.int64)
+        offsets = IndexBox.of_corners(-reach, reach).cells()
         steps = self.steps(np.zeros_like(offsets), offsets)
         return offsets[steps <= radius], steps[steps <= radius]
 
@@ -489,7 +491,7 @@ class Lattice:
         """Return the cells (steps + 1, n) of a shortest chain of neighbours along the straight line.
 
         Of the neighbours that are one step nearer to the end, the chain takes the one nearest to
-        the point of the straight line at the same part of the way, ties to the lower offset.
+        the point at the same fraction of the straight line, ties to the lower offset.
         """
         a, b = self._one_cell(start), self._one_cell(end)
         total = int(self.steps(a[None], b[None])[0])

@@ -66,7 +66,7 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
     u0, u1 = lattice.coordinates(p0), lattice.coordinates(p1)
     offset = u0 - lattice.reduced_index(first)
     tables = lattice.ray_tables
-    room = kernels.count_bound(u0, u1, tables.planes, tables.half)
+    room = kernels.count_bound(u0, u1, tables)
     total = int(room.sum())
     if total > MAX_CELLS:
         raise TooLargeError(
@@ -75,7 +75,5 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
         )
     out = np.empty((total, lattice.dim), np.int32)
     offsets = np.zeros(len(p0) + 1, np.int64)
-    used = kernels.traverse(
-        u0, u1, offset, first, last, tables.planes, tables.half, tables.products, tables.vectors, room, out, offsets[1:]
-    )
+    used = kernels.traverse(u0, u1, offset, first, last, tables, room, out, offsets[1:])
     return RayCells(out[:used], offsets)

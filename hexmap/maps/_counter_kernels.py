@@ -17,7 +17,9 @@ EMPTY = np.int64(-(2**63))
 
 @njit(cache=True, nogil=True)
 def _slot(table, key):
-    """Return the place of ``key`` in the table, or the free place where it belongs."""
+    """Return the slot of ``key`` in the table, or the free one where it belongs."""
+    # Fibonacci hashing: the product spreads neighbouring tiles, whose keys differ in a few low bits, over the table.
+    # At most half of the slots are taken, so that the walk to a free one is short and always ends.
     mask = np.uint64(table.shape[0] - 1)
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     at = (h >> np.uint64(20)) & mask
@@ -28,6 +30,7 @@ def _slot(table, key):
 
 @njit(cache=True, nogil=True)
 def _tile_key(a, b, c, n):
+    """Return the packed key of a tile, as :func:`hexmap.lattice.keys.pack` packs cells."""
     if n == 2:
         return (a << np.int64(32)) + b + np.int64(2147483648)
     return ((a + 1048576) << np.int64(42)) | ((b + 1048576) << np.int64(21)) | (c + 1048576)
@@ -36,6 +39,7 @@ def _tile_key(a, b, c, n):
 @njit(cache=True, nogil=True)
 def rehash(table, numbers, new_table, new_numbers):
     """Copy all entries into a larger table."""
+    # The mask is part of the hash, so every key has another slot there; tiles stay where they are.
     for i in range(table.shape[0]):
         if table[i] != EMPTY:
             at = _slot(new_table, table[i])
@@ -45,7 +49,7 @@ def rehash(table, numbers, new_table, new_numbers):
 
 @njit(cache=True, nogil=True)
 def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
-    """Count the cells ``index[begin:]`` into ``channel``; stops where a tile more does not fit.
+    """Count the cells ``index[begin:]`` into ``channel``; stops where one more tile does not fit.
 
     Returns the row it stopped at and the number of tiles in use; the caller makes room and calls
     again. ``corners`` (T, 3) remembers each tile's coordinates.
@@ -60,6 +64,7 @@ def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
     for i in range(begin, index.shape[0]):
         a = np.int64(index[i, 0])
         b = np.int64(index[i, 1])
+        # The lower bits of an index say where in its tile the cell is, the upper ones which tile; below zero, too.
         inner = ((a & low) << bits) | (b & low)
         tc = np.int64(0)
         if n == 3:
@@ -67,9 +72,11 @@ def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
             inner = (inner << bits) | (c & low)
             tc = c >> bits
         key = _tile_key(a >> bits, b >> bits, tc, n)
+        # Beams and walls stay in a tile for several cells: most cells need no look-up.
         if key != last_key:
             at = _slot(table, key)
             if table[at] == EMPTY:
+                # Nothing of this cell is counted yet, so the caller can make room and begin with it again.
                 if used >= room:
                     return i, used
                 table[at] = key
@@ -87,6 +94,7 @@ def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
 @njit(cache=True, nogil=True)
 def window(low, shape, channel, bits, table, numbers, tiles, n, out):
     """Copy the counts of the box that begins at ``low`` into the flat array ``out`` (row-major)."""
+    # The tiles that the box touches; in the plane there is one layer of one cell.
     side = np.int64(1) << bits
     s2 = shape[2] if n == 3 else 1
     a0 = low[0] >> bits
@@ -100,9 +108,11 @@ def window(low, shape, channel, bits, table, numbers, tiles, n, out):
         for tb in range(b0, b1 + 1):
             for tc in range(c0, c1 + 1):
                 at = _slot(table, _tile_key(ta, tb, tc, n))
+                # A tile that was never made has only zeros, which ``out`` holds already.
                 if table[at] == EMPTY:
                     continue
                 t = numbers[at]
+                # Its cells, less those that stand out of the box.
                 for i in range(side):
                     x = (ta << bits) + i - low[0]
                     if x < 0 or x >= shape[0]:
@@ -134,12 +144,13 @@ def count_cells(channel, tiles, used):
 
 @njit(cache=True, nogil=True)
 def cells(channel, bits, corners, tiles, used, n, index, counts):
-    """Write the index and the count of every cell of ``channel`` that is not zero."""
+    """Write the index and the count of every cell of ``channel`` that is not zero, tile by tile; returns how many."""
     mask = (1 << bits) - 1
     m = 0
     for t in range(used):
         for i in range(tiles.shape[2]):
             if tiles[t, channel, i] > 0:
+                # The index again: the tile's coordinates above, the bits of the place in the tile below.
                 if n == 2:
                     index[m, 0] = (corners[t, 0] << bits) + (i >> bits)
                     index[m, 1] = (corners[t, 1] << bits) + (i & mask)

@@ -22,6 +22,8 @@ def bounds(index, low, high):
     for k in range(n):
         low[k] = index[0, k]
         high[k] = index[0, k]
+    # A loop for each dimension, with the ends in local numbers: written to the arrays at every point they would cost
+    # more than reading the points.
     if n == 2:
         l0, h0, l1, h1 = low[0], high[0], low[1], high[1]
         for i in range(index.shape[0]):
@@ -45,6 +47,7 @@ def bounds(index, low, high):
 @njit(cache=True, nogil=True)
 def pack_relative(index, low, shifts, keys):
     """Pack ``index`` (N, n) minus ``low`` into ``keys`` (N,), axis k shifted left by ``shifts[k]``."""
+    # Relative to the corner no field is negative, so the key's order is the index's, and few bits are in use.
     if index.shape[1] == 2:
         l0, l1, s0 = low[0], low[1], shifts[0]
         for i in range(index.shape[0]):
@@ -60,11 +63,13 @@ def pack_relative(index, low, shifts, keys):
 @njit(cache=True, nogil=True)
 def radix_sort(keys, scratch, bits):
     """Sort unsigned ``keys`` of at most ``bits`` bits; returns True where the result is in ``scratch``."""
+    # As few passes as the bits allow, and then digits as narrow as these passes allow: smaller counters to clear.
     n = keys.shape[0]
     passes = max(1, (bits + DIGIT - 1) // DIGIT)
     width = (bits + passes - 1) // passes
     size = 1 << width
     mask = np.uint64(size - 1)
+    # The digits of all passes are counted in one reading: sorting moves keys about but changes no digit.
     counts = np.zeros((passes, size), dtype=np.int64)
     for i in range(n):
         key = np.uint64(keys[i])
@@ -73,8 +78,11 @@ def radix_sort(keys, scratch, bits):
     source = keys
     target = scratch
     swapped = False
+    # From the lowest digit to the highest. Each pass keeps the order of keys of the same digit, which is why the
+    # order by the lower digits survives.
     for p in range(passes):
         shift = np.uint64(p * width)
+        # Counts become the position where the keys of each digit begin.
         total = 0
         for d in range(size):
             c = counts[p, d]
@@ -107,6 +115,7 @@ def run_lengths(keys, low, shifts, field, offset, unique, counts):
     ``field`` is the width, in bits, of a field of the lasting keys and ``offset`` (n,) what is
     added to each index there.
     """
+    # Repacked here, once for each distinct key, and not for each point.
     n = low.shape[0]
     m = -1
     last = np.uint64(0)
@@ -121,9 +130,9 @@ def run_lengths(keys, low, shifts, field, offset, unique, counts):
         packed = np.int64(0)
         for k in range(n):
             shift = np.uint64(shifts[k])
-            part = rest >> shift
-            rest -= part << shift
-            packed = (packed << field) + (np.int64(part) + low[k] + offset[k])
+            relative = rest >> shift
+            rest -= relative << shift
+            packed = (packed << field) + (np.int64(relative) + low[k] + offset[k])
         unique[m] = packed
         counts[m] = 1
 
@@ -136,6 +145,7 @@ def merge(keys_a, counts_a, keys_b, counts_b, keys, counts):
     m = 0
     na = keys_a.shape[0]
     nb = keys_b.shape[0]
+    # Both lists ascend, so the lesser of the two heads is the next key of the union.
     while i < na and j < nb:
         ka = keys_a[i]
         kb = keys_b[j]
@@ -153,6 +163,7 @@ def merge(keys_a, counts_a, keys_b, counts_b, keys, counts):
             i += 1
             j += 1
         m += 1
+    # What is left of one list is beyond the whole of the other.
     while i < na:
         keys[m] = keys_a[i]
         counts[m] = counts_a[i]
@@ -169,6 +180,7 @@ def merge(keys_a, counts_a, keys_b, counts_b, keys, counts):
 @njit(cache=True, nogil=True)
 def count_common(keys_a, keys_b):
     """Count the keys that occur in both sorted lists."""
+    # A merge that writes nothing: a search for each key would miss the cache at every step.
     i = 0
     j = 0
     m = 0

@@ -20,6 +20,8 @@ class MapBuilder:
     """Fuses scans at known poses into a map; the result does not depend on their order.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap import Lattice, MapBuilder, Pose, Scan
         >>> builder = MapBuilder(Lattice.named("A2", resolution=0.1), levels=2)
         >>> builder.fuse(Scan(stamp=0.0, points=np.array([[2.0, 0.0]])), Pose.planar(0.0, 0.0, 0.0))
         >>> len(builder.build().levels[0].hits)

@@ -6,14 +6,13 @@ builder, which adds hits and passes, and the scan matcher, which asks for the co
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import TooLargeError
 from hexmap.lattice.keys import pack
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
 
 __all__ = ["HITS", "PASSES", "CellCounter"]
@@ -49,6 +48,7 @@ class CellCounter:
                 self._grow()
 
     def _grow(self) -> None:
+        """Make room for more tiles, and for their keys where the table is half full."""
         from hexmap.maps import _counter_kernels as kernels
 
         if self._used >= len(self._tiles):
@@ -66,10 +66,15 @@ class CellCounter:
             self._table, self._numbers = table, numbers
 
     def window(self, low: NDArray[np.int64], shape: NDArray[np.int64], channel: int = HITS) -> NDArray[np.int64]:
-        """Return the counts in the box of ``shape`` (n,) cells from the index ``low`` (n,) on."""
+        """Return the counts in the box of ``shape`` (n,) cells from the index ``low`` (n,) on, as a dense array.
+
+        Raises:
+            TooLargeError: the box holds more than :data:`MAX_WINDOW` cells.
+        """
         from hexmap.maps import _counter_kernels as kernels
 
-        size = math.prod(int(s) for s in shape)
+        box = IndexBox(np.asarray(low, np.int64), np.asarray(shape, np.int64))
+        size = box.size
         if size > MAX_WINDOW:
             raise TooLargeError(
                 f"a window of {size:,} cells at resolution {self.lattice.resolution:g} m is more than {MAX_WINDOW:,}; "
@@ -78,10 +83,10 @@ class CellCounter:
         out = np.zeros(size, np.int64)
         if out.size:
             kernels.window(
-                np.asarray(low, np.int64), np.asarray(shape, np.int64), channel, self._bits,
+                box.low, box.shape, channel, self._bits,
                 self._table, self._numbers, self._tiles, self.lattice.dim, out,
             )  # fmt: skip
-        return out.reshape(tuple(int(s) for s in shape))
+        return out.reshape(box.dims)
 
     def to_list(self, channel: int = HITS) -> VoxelList:
         """Return the counts as a sorted, immutable list."""

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, LatticeError
 from hexmap.lattice.lattice import Lattice
-from hexmap.maps.state_rule import FREE, OCCUPIED, StateRule, States
+from hexmap.maps.cell_state import CellState
+from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 
@@ -180,9 +181,9 @@ class Map:
         was = before.of(after.occupied.index)
         now = after.of(before.occupied.index)
         return MapDiff(
-            appeared=after.occupied.select(was != OCCUPIED),
-            vanished=before.occupied.select(now == FREE),
-            kept=after.occupied.select(was == OCCUPIED),
+            appeared=after.occupied.select(was != CellState.OCCUPIED),
+            vanished=before.occupied.select(now == CellState.FREE),
+            kept=after.occupied.select(was == CellState.OCCUPIED),
         )
 
     def bounds(self, level: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -204,5 +205,3 @@ class Map:
     def __repr__(self) -> str:
         """Show size and lattice."""
         return f"<Map of {len(self.levels[0].hits)} hit cells, {len(self.levels)} levels on {self.lattice!r}>"
-
-

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from hexmap.lattice.keys import key_delta, pack
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["ClassTable", "Rings", "outline", "pixel_rows", "silhouette"]
+__all__ = ["CellCorners", "ClassTable", "Rings", "outline", "pixel_rows", "row_numbers", "silhouette"]
 
 # A window of this many cells is looked up by address (one byte a cell), a larger one by searching.
 _WINDOW = 1 << 28
@@ -34,12 +35,12 @@ class ClassTable:
         self._empty = len(index) == 0
         if self._empty:
             return
-        self._low = index.min(axis=0).astype(np.int64)
-        self._shape = index.max(axis=0).astype(np.int64) - self._low + 1
-        self._dense = float(np.prod(self._shape.astype(np.float64))) <= _WINDOW
+        self._box = IndexBox.of_cells(index)
+        self._dense = self._box.size <= _WINDOW
         if self._dense:
-            self._window = np.zeros(tuple(self._shape), np.uint8)
-            self._window[tuple((index - self._low).T)] = classes
+            # One more at the end, where the position -1 of all cells outside the box leads.
+            self._window = np.zeros(self._box.size + 1, np.uint8)
+            self._window[self._box.flat(index)] = classes
         else:
             keys = pack(index)
             order = np.argsort(keys)
@@ -54,16 +55,7 @@ class ClassTable:
             keys = pack(index)
             at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
             return np.where(self._keys[at] == keys, self._classes[at], 0).astype(np.uint8)
-        inside = np.ones(len(points), np.bool_)
-        address = np.zeros(len(points), np.int64)
-        for k, size in enumerate(self._shape):
-            relative = index[:, k] - self._low[k]
-            inside &= (relative >= 0) & (relative < size)
-            address = address * size + relative
-        address[~inside] = 0
-        out = self._window.reshape(-1)[address]
-        out[~inside] = 0
-        return out
+        return self._window[self._box.flat(index)]
 
 
 def pixel_rows(
@@ -75,11 +67,11 @@ def pixel_rows(
     """
     rows = max(1, _PIXELS_AT_ONCE // (multiple * max(1, len(xs)))) * multiple
     for start in range(0, len(ys), rows):
-        part = ys[start : start + rows]
-        points = np.empty((len(part), len(xs), 2))
+        some = ys[start : start + rows]
+        points = np.empty((len(some), len(xs), 2))
         points[:, :, 0] = xs
-        points[:, :, 1] = part[:, None]
-        yield slice(start, start + len(part)), points.reshape(-1, 2)
+        points[:, :, 1] = some[:, None]
+        yield slice(start, start + len(some)), points.reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -100,11 +92,11 @@ def outline(cells: VoxelList) -> Rings:
     integers, not by their coordinates, so nothing depends on rounding. Corners between edges that
     go straight on are left out.
     """
-    corners = _Corners(cells.lattice)
+    corners = CellCorners(cells.lattice)
     starts, ends, faces = _boundary_edges(cells, corners)
     if len(faces) == 0:
         return Rings(np.empty((0, 2)), np.empty(0, np.int64))
-    number = _numbers(np.concatenate([starts, ends]))
+    number = row_numbers(np.concatenate([starts, ends]))
     # As many edges end in a vertex as start there: pair them in order. Following is then a permutation.
     by_start = np.argsort(number[: len(starts)], kind="stable")
     by_end = np.argsort(number[len(starts) :], kind="stable")
@@ -114,39 +106,45 @@ def outline(cells: VoxelList) -> Rings:
     first = np.cumsum(sizes) - sizes
     before = np.arange(len(order)) - 1
     before[first] = first + sizes - 1
-    turns = faces[order] != faces[order[before]]
+    bends = faces[order] != faces[order[before]]
     ring = np.repeat(np.arange(len(sizes)), sizes)
-    return Rings(corners.points(starts[order[turns]]), np.cumsum(np.bincount(ring[turns], minlength=len(sizes))))
+    return Rings(corners.points(starts[order[bends]]), np.cumsum(np.bincount(ring[bends], minlength=len(sizes))))
 
 
-class _Corners:
-    """The corners of all cells of a lattice in the plane, each known by three integers.
+class CellCorners:
+    """The corners of all cells of a lattice, each known by integers: a lattice point and a kind, n + 1 numbers.
 
-    Two corners of a cell that differ by a lattice vector are of one kind (hexagons have two kinds,
-    squares one); a corner is a lattice point and a kind, whichever of its cells it is reached from.
+    Two corners of a cell that differ by a lattice vector are of one kind: hexagons have two kinds, squares and
+    cubes one, a truncated octahedron six. So a corner has one name, whichever of its cells it is reached from.
+
+    Attributes:
+        names: (V, n + 1) int64, of the corners of the cell at the origin, in the order of its vertices.
+        kinds: (K, n) float64, metres, a corner of each kind.
     """
 
     def __init__(self, lattice: Lattice) -> None:
+        """Name the corners of the cell at the origin."""
         self._lattice = lattice
-        self._kinds: list[NDArray[np.float64]] = []
-        self.names = np.array([self._name(vertex) for vertex in lattice.cell.vertices], np.int64)
+        kinds: list[NDArray[np.float64]] = []
+        self.names = np.array([self._name(vertex, kinds) for vertex in lattice.cell.vertices], np.int64)
+        self.kinds = np.array(kinds)
 
-    def _name(self, vertex: NDArray[np.float64]) -> list[int]:
-        """Return lattice point and kind of a corner of the cell at the origin."""
-        for kind, known in enumerate(self._kinds):
+    def _name(self, vertex: NDArray[np.float64], kinds: list[NDArray[np.float64]]) -> list[int]:
+        """Return lattice point and kind of a corner; a kind that is not known yet is added to ``kinds``."""
+        for kind, known in enumerate(kinds):
             apart = np.linalg.solve(self._lattice.basis, vertex - known)
             if np.abs(apart - np.rint(apart)).max() < 1e-6:
-                return [int(apart[0].round()), int(apart[1].round()), kind]
-        self._kinds.append(vertex)
-        return [0, 0, len(self._kinds) - 1]
+                return [*np.rint(apart).astype(int).tolist(), kind]
+        kinds.append(vertex)
+        return [*(0 for _ in vertex), len(kinds) - 1]
 
     def points(self, names: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the places (N, 2), metres, of corners (N, 3)."""
-        return self._lattice.centres(names[:, :2]) + np.array(self._kinds)[names[:, 2]]
+        """Return the positions (N, n), metres, of corners (N, n + 1)."""
+        return self._lattice.centres(names[:, :-1]) + self.kinds[names[:, -1]]
 
 
 def _boundary_edges(
-    cells: VoxelList, corners: _Corners
+    cells: VoxelList, corners: CellCorners
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the edges with a cell of the list on one side only: corners (E, 3), (E, 3) and faces (E,).
 
@@ -173,7 +171,7 @@ def _contains(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.
     return np.asarray(keys[np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)] == wanted)
 
 
-def _numbers(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def row_numbers(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return a number (N,) for each row (N, k), the same for the same rows, in lexicographic order."""
     number = np.zeros(len(rows), np.int64)
     for column in rows.T:
@@ -205,7 +203,7 @@ def _cycles(following: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np
 def silhouette(lattice: Lattice, seen: tuple[int, int] = (0, 1)) -> NDArray[np.float64]:
     """Return the cell as it looks along the axis not ``seen``: a convex polygon (K, 2), metres, counter-clockwise.
 
-    From above where nothing else is said.
+    By default it is seen from above.
     """
     if lattice.dim == 2:
         return lattice.cell.vertices

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.voxel_list import VoxelList
 
 
@@ -54,10 +55,9 @@ class States:
     free: VoxelList
 
     def of(self, index: ArrayLike) -> NDArray[np.uint8]:
-        """Return UNKNOWN (0), FREE (1) or OCCUPIED (2) for each of the indices (K, n)."""
+        """Return the :class:`CellState` (K,) of each of the indices (K, n)."""
         occupied = self.occupied.contains(index)
         free = self.free.contains(index)
-        return np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
+        known = np.where(free, CellState.FREE, CellState.UNKNOWN)
+        return np.where(occupied, CellState.OCCUPIED, known).astype(np.uint8)
 
-
-UNKNOWN, FREE, OCCUPIED = 0, 1, 2

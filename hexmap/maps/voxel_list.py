@@ -32,6 +32,7 @@ class VoxelList:
         counts: (M,) int64 occupancy o of each, at least 1.
 
     Examples:
+        >>> from hexmap import Lattice, VoxelList
         >>> squares = Lattice.named("Z2", resolution=1.0)
         >>> walls = VoxelList.from_points([[0.1, 0.0], [0.2, 0.1], [2.0, 0.0]], squares)
         >>> walls.rows().tolist()
@@ -234,6 +235,6 @@ class VoxelList:
             return self
         low, high = self.index.min(axis=0).astype(np.int64), self.index.max(axis=0).astype(np.int64)
         if (np.abs(low + v) >= self.lattice.limit).any() or (np.abs(high + v) >= self.lattice.limit).any():
-            way = tuple(int(x) for x in v)
-            raise BoundsError(f"a shift by {way} leaves the range of indices, {self.lattice.limit}")
+            moved = tuple(int(x) for x in v)
+            raise BoundsError(f"a shift by {moved} leaves the range of indices, {self.lattice.limit}")
         return VoxelList(self.lattice, self.keys + key_delta(v.astype(np.int64)), self.counts)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from hexmap.paper.quantiser import quantiser_experiment
-from hexmap.paper.rotation import RotationSettings, rotation_experiment
+from hexmap.paper.rotation import rotation_experiment
+from hexmap.paper.rotation_settings import RotationSettings
 from hexmap.paper.verdicts import Evidence, judge
 
 __all__ = ["Evidence", "RotationSettings", "judge", "quantiser_experiment", "rotation_experiment"]

@@ -24,7 +24,13 @@ def random_rotation(rng: np.random.Generator, dim: int) -> Pose:
 
 
 def about_axis(axis: str, degrees: float, dim: int) -> Pose:
-    """Return a turn about x, y or z through the origin; in the plane about z."""
+    """Return the rotation about x, y or z through the origin; in the plane about z.
+
+    Args:
+        axis: "x", "y" or "z".
+        degrees: counter-clockwise.
+        dim: 2 or 3.
+    """
     angle = np.radians(degrees)
     if dim == 2:
         return Pose.planar(0.0, 0.0, float(angle))
@@ -35,7 +41,7 @@ def about_axis(axis: str, degrees: float, dim: int) -> Pose:
 
 
 def rotation_case(case: dict[str, Any], rng: np.random.Generator, shared: dict[str, Any]) -> dict[str, Any]:
-    """Turn the points and count cells and distortion on every lattice, under one and the same transform."""
+    """Move the points and count cells and distortion on every lattice, under one and the same transform."""
     points = np.array(shared["points"])
     lattices = [Lattice(np.array(basis)) for basis in shared["bases"]]
     dim = points.shape[1]
@@ -44,19 +50,19 @@ def rotation_case(case: dict[str, Any], rng: np.random.Generator, shared: dict[s
     else:
         # Shifts of several cells in every direction: as good as uniform over the cell of any lattice.
         width = 8.0 * max(lattice.resolution for lattice in lattices)
-        turn = random_rotation(rng, dim)
-        pose = Pose(turn.rotation, rng.uniform(-width, width, dim))
-    turned = pose.apply(points)
+        rotation = random_rotation(rng, dim).rotation
+        pose = Pose(rotation, rng.uniform(-width, width, dim))
+    moved = pose.apply(points)
     return {
-        "count": [len(VoxelList.from_points(turned, lattice)) for lattice in lattices],
-        "distortion": [distortion(turned, lattice) for lattice in lattices],
+        "count": [len(VoxelList.from_points(moved, lattice)) for lattice in lattices],
+        "distortion": [distortion(moved, lattice) for lattice in lattices],
     }
 
 
 def score_case(case: dict[str, Any], rng: np.random.Generator, shared: dict[str, Any]) -> dict[str, Any]:
     """Match one half of a scan against the map of its other half, at one random pose, on every lattice.
 
-    ``at_pose`` is the part of the scan's cells that coincide where the pose is exactly right,
+    ``at_pose`` is the fraction of the scan's cells that coincide where the pose is exactly right,
     ``beside`` where it is half a resolution off in a random direction.
     """
     points = np.array(shared["points"])
@@ -64,19 +70,19 @@ def score_case(case: dict[str, Any], rng: np.random.Generator, shared: dict[str,
     lattices = [Lattice(np.array(basis)) for basis in shared["bases"]]
     half = rng.permutation(len(points))
     first, second = points[half[: len(half) // 2]], points[half[len(half) // 2 :]]
-    turn = random_rotation(rng, dim)
+    rotation = random_rotation(rng, dim).rotation
     unit = rng.uniform(-0.5, 0.5, dim)
     normal = np.asarray(rng.normal(size=dim))
     direction = normal / np.sqrt((normal * normal).sum())
     exact: list[float] = []
     beside: list[float] = []
     for lattice in lattices:
-        pose = Pose(turn.rotation, lattice.basis @ unit)
-        world = VoxelList.from_points(pose.apply(first), lattice)
+        pose = Pose(rotation, lattice.basis @ unit)
+        occupied = VoxelList.from_points(pose.apply(first), lattice)
         seen = pose.apply(second)
         for shift, scores in ((0.0, exact), (0.5 * lattice.resolution, beside)):
             scan = VoxelList.from_points(seen + shift * direction, lattice)
-            scores.append(scan.count_coincident(world) / len(scan))
+            scores.append(scan.count_coincident(occupied) / len(scan))
     return {"at_pose": exact, "beside": beside}
 
 

@@ -54,56 +54,22 @@ def quantiser_experiment(
         f"{count:,} uniform points over whole unit cells of each lattice, cells of area or volume 1. Exact values come "
         "from the polytope of the cell; measured ones carry a 95 % interval of their sampling error."
     )
-    moments: list[dict[str, Any]] = []
-    volumes: list[dict[str, Any]] = []
-    moved: list[dict[str, Any]] = []
-    costs: list[dict[str, Any]] = []
-    base_cost: dict[int, float] = {}
+    moments, volumes, moved, costs = [], [], [], []
+    listing_base: dict[int, float] = {}  # by the dimension: seconds of its first lattice, the square or cubic one
     for k, given in enumerate(lattices):
         lattice = given.scaled(1.0 / given.resolution)
-        n = lattice.dim
+        # One generator a lattice, drawn from in this order.
         rng = np.random.default_rng([seed, k])
         points = uniform_on_cells(lattice, count, rng)
-        offset = points - lattice.centres(lattice.quantise(points))
-        square = (offset**2).sum(axis=1)
-        moments.append({
-            "lattice": lattice.name,
-            "G exact": lattice.cell.second_moment,
-            "G measured": _with_error(square / n),
-            "mean error exact": lattice.cell.mean_error,
-            "mean error measured": _with_error(np.sqrt(square)),
-            "largest error": float(np.sqrt(square.max())),
-            "covering radius": lattice.covering_radius,
-        })  # fmt: skip
-        reach = 1.05 * lattice.covering_radius
-        box = rng.uniform(-reach, reach, (count, n))
-        inside = (lattice.quantise(box) == 0).all(axis=1) * (2.0 * reach) ** n
-        volumes.append({
-            "lattice": lattice.name, "polytope": lattice.cell.volume, "determinant": lattice.cell_volume,
-            "sampled": _with_error(inside.astype(np.float64)),
-        })  # fmt: skip
-        # A ball far larger than a cell, turned and shifted: its own edge is all that could make a difference.
-        ball = rng.normal(size=(min(count, 200_000), n))
-        ball *= (50.0 * rng.uniform(0.0, 1.0, len(ball)) ** (1.0 / n) / np.sqrt((ball**2).sum(axis=1)))[:, None]
-        means = []
-        for _ in range(20):
-            turned = Pose(random_rotation(rng, n).rotation, rng.uniform(-1.0, 1.0, n)).apply(ball)
-            means.append(np.sqrt(((turned - lattice.centres(lattice.quantise(turned))) ** 2).sum(axis=1)).mean())
-        means_array = np.array(means)
-        moved.append({
-            "lattice": lattice.name, "mean error": float(means_array.mean()),
-            "sigma/mu over 20 transforms": float(means_array.std() / means_array.mean()),
-            "sigma/mu of sampling alone": float(np.sqrt(square).std() / np.sqrt(square).mean() / np.sqrt(len(ball))),
-        })  # fmt: skip
-        spread = points * 1000.0  # as a map has them, not all in one cell
-        quantise, listing = (
-            median_seconds(partial(lattice.quantise, spread)),
-            median_seconds(partial(VoxelList.from_points, spread, lattice)),
-        )
-        base_cost.setdefault(n, listing)
+        squared = _squared_errors(points, lattice)
+        moments.append(_moments(lattice, squared))
+        volumes.append(_volumes(lattice, count, rng))
+        moved.append(_under_transforms(lattice, squared, count, rng))
+        quantising, listing = _seconds(lattice, points)
+        base = listing_base.setdefault(lattice.dim, listing)
         costs.append({
-            "lattice": lattice.name, "quantise, ns a point": quantise / count * 1e9,
-            "list, ns a point": listing / count * 1e9, "times the square or cubic": listing / base_cost[n],
+            "lattice": lattice.name, "quantise, ns a point": quantising / count * 1e9,
+            "list, ns a point": listing / count * 1e9, "times the square or cubic": listing / base,
         })  # fmt: skip
     report.heading("Distortion of uniform data")
     report.table(
@@ -123,3 +89,64 @@ def quantiser_experiment(
         caption="Measured live on one thread, medians; the paper (Octave): 1, 5 (D3) and 10 (D3*) times.",
     )  # fmt: skip
     return report
+
+
+def _squared_errors(points: NDArray[np.float64], lattice: Lattice) -> NDArray[np.float64]:
+    """Return the squared distance (N,) of each point to the centre of its cell, square metres."""
+    return np.asarray(((points - lattice.centres(lattice.quantise(points))) ** 2).sum(axis=1))
+
+
+def _moments(lattice: Lattice, squared: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the second moment and the mean error, exact and measured (Conway and Sloane, chapter 21)."""
+    return {
+        "lattice": lattice.name,
+        "G exact": lattice.cell.second_moment,
+        "G measured": _with_error(squared / lattice.dim),
+        "mean error exact": lattice.cell.mean_error,
+        "mean error measured": _with_error(np.sqrt(squared)),
+        "largest error": float(np.sqrt(squared.max())),
+        "covering radius": lattice.covering_radius,
+    }
+
+
+def _volumes(lattice: Lattice, count: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Return the volume of the cell by its polytope, by the basis, and by the points of a box that are in it."""
+    reach = 1.05 * lattice.covering_radius
+    box = rng.uniform(-reach, reach, (count, lattice.dim))
+    inside = (lattice.quantise(box) == 0).all(axis=1) * (2.0 * reach) ** lattice.dim
+    return {
+        "lattice": lattice.name,
+        "polytope": lattice.cell.volume,
+        "determinant": lattice.cell_volume,
+        "sampled": _with_error(inside.astype(np.float64)),
+    }
+
+
+def _under_transforms(
+    lattice: Lattice, squared: NDArray[np.float64], count: int, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return how much the mean error varies under random rigid transforms, and how much by sampling alone."""
+    n = lattice.dim
+    # A ball far larger than a cell: its own edge is all that could make a difference.
+    ball = rng.normal(size=(min(count, 200_000), n))
+    ball *= (50.0 * rng.uniform(0.0, 1.0, len(ball)) ** (1.0 / n) / np.sqrt((ball**2).sum(axis=1)))[:, None]
+    drawn = []
+    for _ in range(20):
+        moved = Pose(random_rotation(rng, n).rotation, rng.uniform(-1.0, 1.0, n)).apply(ball)
+        drawn.append(np.sqrt(_squared_errors(moved, lattice)).mean())
+    means, errors = np.array(drawn), np.sqrt(squared)
+    return {
+        "lattice": lattice.name,
+        "mean error": float(means.mean()),
+        "sigma/mu over 20 transforms": float(means.std() / means.mean()),
+        "sigma/mu of sampling alone": float(errors.std() / errors.mean() / np.sqrt(len(ball))),
+    }
+
+
+def _seconds(lattice: Lattice, points: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the seconds of quantising the points and of listing their cells."""
+    spread = points * 1000.0  # as a map has them, not all in one cell
+    return (
+        median_seconds(partial(lattice.quantise, spread)),
+        median_seconds(partial(VoxelList.from_points, spread, lattice)),
+    )

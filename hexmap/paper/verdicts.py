@@ -4,57 +4,55 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, TypeAlias
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from hexmap.experiments.report.elements import Outcome, Verdict
 from hexmap.experiments.report.numbers import format_interval
-from hexmap.experiments.report.pieces import Verdict
 from hexmap.experiments.statistics import Interval
 from hexmap.lattice.lattice import Lattice
-
-Outcome: TypeAlias = Literal["holds", "holds in part", "does not hold"]
 
 __all__ = ["Evidence", "judge", "mean_path_factor", "ties"]
 
 
+@dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the experiments found: for each lattice but the first (square or cubic) its ratios to the first."""
+    """What the experiments found: for each lattice but the first (square or cubic) its ratios to the first.
 
-    def __init__(
-        self,
-        lattices: Sequence[Lattice],
-        points: NDArray[np.float64],
-        variability: Sequence[Interval],
-        counts: Sequence[Interval],
-        distortions: Sequence[Interval],
-        steadiness: Sequence[Interval],
-        costs: Sequence[float],
-    ) -> None:
-        """Keep the evidence.
+    Attributes:
+        lattices: the square or cubic one first.
+        points: (N, n) the scan, metres.
+        variability: of the cell count, first lattice over each other one (more is better).
+        counts: mean cell count of each other lattice over the first's (less is better).
+        distortions: mean distortion of each other lattice over the first's.
+        steadiness: variability of the distortion, first lattice over each other one.
+        costs: time of listing the scan on each other lattice over the first's.
+    """
 
-        Args:
-            lattices: the square or cubic one first.
-            points: (N, n) the scan, metres.
-            variability: of the cell count, first lattice over each other one (more is better).
-            counts: mean cell count of each other lattice over the first's (less is better).
-            distortions: mean distortion of each other lattice over the first's.
-            steadiness: variability of the distortion, first lattice over each other one.
-            costs: time of listing the scan on each other lattice over the first's.
-        """
-        self.lattices = lattices
-        self.points = points
-        self.variability = variability
-        self.counts = counts
-        self.distortions = distortions
-        self.steadiness = steadiness
-        self.costs = costs
+    lattices: Sequence[Lattice]
+    points: NDArray[np.float64]
+    variability: Sequence[Interval]
+    counts: Sequence[Interval]
+    distortions: Sequence[Interval]
+    steadiness: Sequence[Interval]
+    costs: Sequence[float]
+
+    @property
+    def base(self) -> Lattice:
+        """The square or cubic lattice."""
+        return self.lattices[0]
+
+    @property
+    def others(self) -> Sequence[Lattice]:
+        """The lattices that are compared with it."""
+        return self.lattices[1:]
 
 
 def mean_path_factor(lattice: Lattice, moves: NDArray[np.int64], samples: int = 200_000) -> float:
-    """Return the mean over directions of the length of long free paths, by ``moves`` (K, n), over the straight way.
+    """Return the mean over directions of the length of long free paths, by ``moves`` (K, n), over the distance.
 
     The length of a long path is the gauge of the convex hull of the moves, each divided by its own
     length; directions are a fixed low-discrepancy set, so the value is the same every time.
@@ -78,7 +76,7 @@ def mean_path_factor(lattice: Lattice, moves: NDArray[np.int64], samples: int = 
 
 
 def ties(points: NDArray[np.float64], lattice: Lattice) -> float:
-    """Return the part of ``points`` (N, n) that lie exactly between two cells (to 2^-31 of a cell)."""
+    """Return the fraction of ``points`` (N, n) that lie exactly between two cells (to 2^-31 of a cell)."""
     if len(points) == 0:
         return 0.0
     u = lattice.coordinates(points)
@@ -86,6 +84,85 @@ def ties(points: NDArray[np.float64], lattice: Lattice) -> float:
     tables = lattice.ray_tables
     gap = tables.half - offset @ tables.planes.T
     return float((gap.min(axis=1) <= 2.0**-31 * tables.half.max()).mean())
+
+
+def judge(evidence: Evidence) -> list[Verdict]:
+    """Return a verdict on each claim of the paper that the lattices and the scan at hand can decide."""
+    claims = [
+        _neighbours_are_equal,
+        _symmetry_is_higher,
+        _packing_is_densest,
+        _ties_are_unlikely,
+        *([_worst_component_is_rounded_from_zero] if evidence.base.dim == 3 else []),
+        _cell_count_is_steadier,
+        _distortion_is_steadier,
+        _centres_are_nearer,
+        _fewer_cells,
+        _shorter_routes,
+        _costs_more,
+    ]
+    return [claim(evidence) for claim in claims]
+
+
+def _graded(whole: bool, in_part: bool) -> Outcome:
+    """Return the outcome: it holds, or else holds in part, or does not."""
+    return "holds" if whole else "holds in part" if in_part else "does not hold"
+
+
+def _listed(evidence: Evidence, intervals: Sequence[Interval]) -> str:
+    """Return the interval of each other lattice with its name."""
+    return "; ".join(f"{v.name} {format_interval(i)}" for v, i in zip(evidence.others, intervals, strict=True))
+
+
+# ---------------------------------------------------------------------- of the lattices alone
+
+
+def _neighbours_are_equal(evidence: Evidence) -> Verdict:
+    equal = [len(v.faces) == len(v.nearest) for v in evidence.others]
+    return Verdict(
+        "All neighbours of a cell are equally far and share a face with it",
+        "I, II",
+        _graded(all(equal), any(equal)),
+        "holds where every cell that shares a face is a nearest one; in part where it does on some lattices",
+        "; ".join(f"{v.name}: {len(v.nearest)} nearest, {len(v.faces)} faces" for v in evidence.others),
+    )
+
+
+def _symmetry_is_higher(evidence: Evidence) -> Verdict:
+    orders = {v.name: len(v.point_group) for v in evidence.lattices}
+    higher = [orders[v.name] > orders[evidence.base.name] for v in evidence.others]
+    return Verdict(
+        f"The lattices have a higher order of rotational symmetry than {evidence.base.name}",
+        "II",
+        _graded(all(higher), any(higher)),
+        "compares the orders of the point groups, counted from the bases",
+        ", ".join(f"{name} {order}" for name, order in orders.items()),
+    )
+
+
+def _packing_is_densest(evidence: Evidence) -> Verdict:
+    plane = evidence.base.dim == 2
+    packing = {v.name: v.packing_density for v in evidence.lattices}
+    optimum = 0.9068 if plane else 0.7404  # rounded down
+    return Verdict(
+        "The hexagonal lattice is the densest packing" if plane else "FCC is the densest packing",
+        "II",
+        _graded(max(packing.values()) >= optimum, False),
+        "holds where the densest of the lattices reaches pi / sqrt(12) in the plane, pi / sqrt(18) in space "
+        "(proved optimal by Thue and by Hales)",
+        ", ".join(f"{name} {density:.4f}" for name, density in packing.items()),
+    )
+
+
+def _worst_component_is_rounded_from_zero(evidence: Evidence) -> Verdict:
+    right = _literal_d3(np.random.default_rng(0).uniform(-50.0, 50.0, (200_000, 3)))
+    return Verdict(
+        "D_n is quantised by rounding the worst component further from zero",
+        "III",
+        _graded(right == 1.0, False),
+        "part of 200,000 uniform points on which the rule as printed gives the nearest lattice point",
+        f"right for {right:.1%}; it must be rounded to the other side of x (Conway and Sloane)",
+    )
 
 
 def _literal_d3(points: NDArray[np.float64]) -> float:
@@ -103,151 +180,103 @@ def _literal_d3(points: NDArray[np.float64]) -> float:
     return float(1.0 - (literal != right).any(axis=1)[odd].mean() * odd.mean())
 
 
-def _three(best: float, good: float, value: float) -> Outcome:
-    """Return the outcome of a value where more is better."""
-    return "holds" if value >= best else "holds in part" if value >= good else "does not hold"
+def _shorter_routes(evidence: Evidence) -> Verdict:
+    base = evidence.base
+    nearest, diagonals = base.nearest, base.shell(8 if base.dim == 2 else 26)
+    straight, diagonal = mean_path_factor(base, nearest), mean_path_factor(base, diagonals)
+    factors = {v.name: mean_path_factor(v, v.neighbours) for v in evidence.others}
+    return Verdict(
+        "Routes are shorter",
+        "I, VII",
+        _graded(max(factors.values()) < diagonal, min(factors.values()) < straight),
+        f"mean length of free paths over the straight way: holds against {base.name} with {len(diagonals)} neighbours, "
+        f"in part against {len(nearest)}",
+        f"{base.name}-{len(nearest)} {straight:.4f}, {base.name}-{len(diagonals)} {diagonal:.4f}; "
+        + ", ".join(f"{v.name}-{len(v.neighbours)} {factors[v.name]:.4f}" for v in evidence.others),
+    )
 
 
-def judge(evidence: Evidence) -> list[Verdict]:
-    """Return a verdict on each claim of the paper that the lattices and the scan at hand can decide."""
-    cubic, others = evidence.lattices[0], list(evidence.lattices[1:])
-    rows: list[Verdict] = []
+# ---------------------------------------------------------------------- of the scan
 
-    equal = {v.name: len(v.faces) == len(v.nearest) for v in others}
-    rows.append(
-        Verdict(
-            "All neighbours of a cell are equally far and share a face with it",
-            "I, II",
-            "holds" if all(equal.values()) else "holds in part" if any(equal.values()) else "does not hold",
-            "holds where every cell that shares a face is a nearest one; in part where it does on some lattices",
-            "; ".join(f"{v.name}: {len(v.nearest)} nearest, {len(v.faces)} faces" for v in others),
-        )
+
+def _ties_are_unlikely(evidence: Evidence) -> Verdict:
+    in_centimetres = np.round(evidence.points * 100) / 100
+    given = {v.name: ties(evidence.points, v) for v in evidence.lattices}
+    rounded = {v.name: ties(in_centimetres, v) for v in evidence.lattices}
+    unlikely = max(given.values()) < 1e-4
+    return Verdict(
+        "Points exactly between two cells are very unlikely",
+        "III",
+        _graded(unlikely and max(rounded.values()) < 1e-4, unlikely),
+        "ties among the points as given, and rounded to whole centimetres as many sensors do: holds below 1 in "
+        "10,000 for both, in part for the points as given",
+        "; ".join(f"{name} {given[name]:.2%}, rounded {rounded[name]:.2%}" for name in given),
     )
-    orders = {v.name: len(v.point_group) for v in evidence.lattices}
-    more = [orders[v.name] > orders[cubic.name] for v in others]
-    rows.append(
-        Verdict(
-            f"The lattices have a higher order of rotational symmetry than {cubic.name}",
-            "II",
-            "holds" if all(more) else "holds in part" if any(more) else "does not hold",
-            "compares the orders of the point groups, counted from the bases",
-            ", ".join(f"{k} {v}" for k, v in orders.items()),
-        )
-    )
-    packing = {v.name: v.packing_density for v in evidence.lattices}
-    densest = 0.9068 if cubic.dim == 2 else 0.7404
-    best_packing = max(packing.values())
-    rows.append(
-        Verdict(
-            "The hexagonal lattice is the densest packing" if cubic.dim == 2 else "FCC is the densest packing",
-            "II",
-            "holds" if best_packing >= densest else "does not hold",
-            "holds where the densest of the lattices reaches pi / sqrt(12) in the plane, pi / sqrt(18) in space "
-            "(proved optimal by Thue and by Hales)",
-            ", ".join(f"{k} {v:.4f}" for k, v in packing.items()),
-        )
-    )
-    found = {v.name: ties(evidence.points, v) for v in evidence.lattices}
-    whole = np.round(evidence.points * 100) / 100
-    in_centimetres = {v.name: ties(whole, v) for v in evidence.lattices}
-    worst = max(found.values())
-    rounded = max(in_centimetres.values())
-    rows.append(
-        Verdict(
-            "Points exactly between two cells are very unlikely",
-            "III",
-            "holds" if max(worst, rounded) < 1e-4 else "holds in part" if worst < 1e-4 else "does not hold",
-            "ties among the points as given, and rounded to whole centimetres as many sensors do: holds below 1 in "
-            "10,000 for both, in part for the points as given",
-            "; ".join(f"{k} {found[k]:.2%}, rounded {in_centimetres[k]:.2%}" for k in found),
-        )
-    )
-    if cubic.dim == 3:
-        share = _literal_d3(np.random.default_rng(0).uniform(-50.0, 50.0, (200_000, 3)))
-        rows.append(
-            Verdict(
-                "D_n is quantised by rounding the worst component further from zero",
-                "III",
-                "holds" if share == 1.0 else "does not hold",
-                "part of 200,000 uniform points on which the rule as printed gives the nearest lattice point",
-                f"right for {share:.1%}; it must be rounded to the other side of x (Conway and Sloane)",
-            )
-        )
-    low = [v.low for v in evidence.variability]
-    rows.append(
-        Verdict(
-            "The number of cells varies three times less under rotation" if cubic.dim == 3
-            else "The number of cells varies less under rotation",
-            "abstract, VI",
-            _three(3.0 if cubic.dim == 3 else 1.0, 1.0, min(low)),
-            f"ratio of sigma / mu, {cubic.name} over the other: holds where every interval lies above "
-            + ("3, in part above 1" if cubic.dim == 3 else "1"),
-            "; ".join(f"{v.name} {format_interval(i)}" for v, i in zip(others, evidence.variability, strict=True)),
-        )
+
+
+def _cell_count_is_steadier(evidence: Evidence) -> Verdict:
+    # The paper says how much steadier only of space.
+    space = evidence.base.dim == 3
+    lowest = min(interval.low for interval in evidence.variability)
+    return Verdict(
+        "The number of cells varies three times less under rotation" if space
+        else "The number of cells varies less under rotation",
+        "abstract, VI",
+        _graded(lowest >= (3.0 if space else 1.0), lowest >= 1.0),
+        f"ratio of sigma / mu, {evidence.base.name} over the other: holds where every interval lies above "
+        + ("3, in part above 1" if space else "1"),
+        _listed(evidence, evidence.variability),
     )  # fmt: skip
-    steady = [v.low for v in evidence.steadiness]
-    rows.append(
-        Verdict(
-            "The distortion varies less under rotation",
-            "VI",
-            "holds" if min(steady) > 1 else "holds in part" if max(steady) > 1 else "does not hold",
-            f"ratio of sigma / mu, {cubic.name} over the other: holds where every interval lies above 1",
-            "; ".join(f"{v.name} {format_interval(i)}" for v, i in zip(others, evidence.steadiness, strict=True)),
-        )
+
+
+def _distortion_is_steadier(evidence: Evidence) -> Verdict:
+    lows = [interval.low for interval in evidence.steadiness]
+    return Verdict(
+        "The distortion varies less under rotation",
+        "VI",
+        _graded(min(lows) > 1, max(lows) > 1),
+        f"ratio of sigma / mu, {evidence.base.name} over the other: holds where every interval lies above 1",
+        _listed(evidence, evidence.steadiness),
     )
-    high = [v.high for v in evidence.distortions]
-    rows.append(
-        Verdict(
-            "Points lie nearer to the centres of their cells",
-            "II, VI",
-            "holds" if max(high) < 1 else "holds in part" if min(high) < 1 else "does not hold",
-            f"mean distortion over {cubic.name}'s at equal cell size: holds where every interval lies below 1",
-            "; ".join(f"{v.name} {format_interval(i)}" for v, i in zip(others, evidence.distortions, strict=True)),
-        )
+
+
+def _centres_are_nearer(evidence: Evidence) -> Verdict:
+    highs = [interval.high for interval in evidence.distortions]
+    return Verdict(
+        "Points lie nearer to the centres of their cells",
+        "II, VI",
+        _graded(max(highs) < 1, min(highs) < 1),
+        f"mean distortion over {evidence.base.name}'s at equal cell size: holds where every interval lies below 1",
+        _listed(evidence, evidence.distortions),
     )
-    fewer = [v.high for v in evidence.counts]
-    cover = {v.name: v.covering_thickness / cubic.covering_thickness for v in others}
-    outcome: Outcome = "holds" if max(fewer) < 1 else "holds in part" if max(cover.values()) < 1 else "does not hold"
-    rows.append(
-        Verdict(
-            "A map needs fewer cells (representation efficiency)",
-            "I, VII",
-            outcome,
-            f"cells of the scan over {cubic.name}'s at equal cell size: holds where every interval lies below 1; in "
-            "part where that is so only for space as a whole at equal covering radius",
-            "; ".join(
-                f"{v.name} {format_interval(i)}, at equal covering radius {cover[v.name]:.3f}"
-                for v, i in zip(others, evidence.counts, strict=True)
-            ),
-        )
+
+
+def _fewer_cells(evidence: Evidence) -> Verdict:
+    base, others = evidence.base, evidence.others
+    covering = [v.covering_thickness / base.covering_thickness for v in others]
+    return Verdict(
+        "A map needs fewer cells (representation efficiency)",
+        "I, VII",
+        _graded(max(interval.high for interval in evidence.counts) < 1, max(covering) < 1),
+        f"cells of the scan over {base.name}'s at equal cell size: holds where every interval lies below 1; in "
+        "part where that is so only for space as a whole at equal covering radius",
+        "; ".join(
+            f"{v.name} {format_interval(i)}, at equal covering radius {cover:.3f}"
+            for v, i, cover in zip(others, evidence.counts, covering, strict=True)
+        ),
     )
-    plain = mean_path_factor(cubic, cubic.nearest)
-    long = cubic.shell(8 if cubic.dim == 2 else 26)
-    with_diagonals = mean_path_factor(cubic, long)
-    factors = {v.name: mean_path_factor(v, v.neighbours) for v in others}
-    rows.append(
-        Verdict(
-            "Routes are shorter",
-            "I, VII",
-            "holds" if max(factors.values()) < with_diagonals
-            else "holds in part" if min(factors.values()) < plain else "does not hold",
-            f"mean length of free paths over the straight way: holds against {cubic.name} with {len(long)} neighbours, "
-            f"in part against {len(cubic.nearest)}",
-            f"{cubic.name}-{len(cubic.nearest)} {plain:.4f}, {cubic.name}-{len(long)} {with_diagonals:.4f}; "
-            + ", ".join(f"{v.name}-{len(v.neighbours)} {factors[v.name]:.4f}" for v in others),
-        )
+
+
+def _costs_more(evidence: Evidence) -> Verdict:
+    # The paper's figures: 5 times for D3 and A2, whose faces all lead to nearest cells, 10 times for D3*.
+    costs = list(zip(evidence.others, evidence.costs, strict=True))
+    as_printed = all(cost >= 0.8 * (5.0 if len(v.nearest) == len(v.faces) else 10.0) for v, cost in costs)
+    return Verdict(
+        "Quantising and listing costs 5 and 10 times as much" if evidence.base.dim == 3
+        else "The hexagonal lattice costs more",
+        "VI",
+        _graded(as_printed, False),
+        f"time of listing the scan over {evidence.base.name}'s, one thread, this machine: holds within a fifth of the "
+        "paper's figures (Octave)",
+        ", ".join(f"{v.name} {cost:.2f} times" for v, cost in costs),
     )  # fmt: skip
-    limits = {v.name: 5.0 if len(v.nearest) == len(v.faces) else 10.0 for v in others}
-    rows.append(
-        Verdict(
-            "Quantising and listing costs 5 and 10 times as much" if cubic.dim == 3
-            else "The hexagonal lattice costs more",
-            "VI",
-            "holds" if all(c >= 0.8 * limits[v.name] for v, c in zip(others, evidence.costs, strict=True))
-            else "does not hold",
-            f"time of listing the scan over {cubic.name}'s, one thread, this machine: holds within a fifth of the "
-            "paper's figures (Octave)",
-            ", ".join(f"{v.name} {c:.2f} times" for v, c in zip(others, evidence.costs, strict=True)),
-        )
-    )  # fmt: skip
-    return rows

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hexmap.base.arrays import FloatArray, multiply
 from hexmap.base.errors import ArgumentError
+from hexmap.poses.rotations import rotation_entries
 
 __all__ = ["Pose", "wrap_angle"]
 
@@ -32,6 +33,8 @@ class Pose:
         translation: (n,) float64 in metres, read-only.
 
     Examples:
+        >>> import math
+        >>> from hexmap import Pose
         >>> T_map_robot = Pose.planar(1.0, 2.0, math.pi / 2)
         >>> T_map_robot.apply([[1.0, 0.0]]).round(6).tolist()
         [[1.0, 3.0]]
@@ -105,14 +108,7 @@ class Pose:
         if t.shape != (3,) or not math.isfinite(norm) or norm < 1e-9:
             raise ArgumentError("a pose takes a translation of 3 and a non-zero quaternion x y z w of 4 numbers")
         x, y, z, w = q / norm
-        R = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        return cls(R, t)
+        return cls(rotation_entries(x, y, z, w), t)
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
@@ -156,23 +152,9 @@ class Pose:
         if self.dim == 2:
             half = 0.5 * self.theta
             return np.array([0.0, 0.0, math.sin(half), math.cos(half)])
-        R = self.rotation
-        # The largest of the four squared components is the well-conditioned one to divide by.
-        w2 = 1 + R[0, 0] + R[1, 1] + R[2, 2]
-        x2 = 1 + R[0, 0] - R[1, 1] - R[2, 2]
-        y2 = 1 - R[0, 0] + R[1, 1] - R[2, 2]
-        z2 = 1 - R[0, 0] - R[1, 1] + R[2, 2]
-        columns = np.array(
-            [
-                [x2, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[2, 1] - R[1, 2]],
-                [R[0, 1] + R[1, 0], y2, R[1, 2] + R[2, 1], R[0, 2] - R[2, 0]],
-                [R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], z2, R[1, 0] - R[0, 1]],
-                [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], w2],
-            ]
-        )
-        q = columns[int(np.argmax([x2, y2, z2, w2]))]
-        q = q / np.linalg.norm(q)
-        return q if q[3] >= 0.0 else -q
+        from scipy.spatial.transform import Rotation
+
+        return np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True), dtype=np.float64)
 
     def matrix(self) -> FloatArray:
         """Return the homogeneous matrix, (3, 3) or (4, 4)."""

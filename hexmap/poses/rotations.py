@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,24 +31,45 @@ def exponential(v: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K))
 
 
-def angles(turns: FloatArray) -> FloatArray:
-    """Return the angle (R,) of each rotation matrix."""
-    trace = np.trace(turns, axis1=1, axis2=2)
-    cosine = trace / 2.0 if turns.shape[1] == 2 else (trace - 1.0) / 2.0
+def angles(rotations: FloatArray) -> FloatArray:
+    """Return the angle (R,), radians, of each of ``rotations`` (R, n, n)."""
+    trace = np.trace(rotations, axis1=1, axis2=2)
+    cosine = trace / 2.0 if rotations.shape[1] == 2 else (trace - 1.0) / 2.0
     return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def rotation_entries(x: Any, y: Any, z: Any, w: Any) -> list[list[Any]]:
+    """Return the rows of the rotation matrix of a unit quaternion, whose components are numbers or arrays.
+
+    Written out, because scipy's Rotation rounds the last bit of most entries differently, and poses that
+    are read from a bag must not depend on that; it also takes 0.4 s to import.
+    """
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
 
 
 def quaternions_to_rotations(q: FloatArray) -> FloatArray:
     """Return the (N, 3, 3) rotations of unit quaternions (N, 4) x y z w."""
-    x, y, z, w = q.T
     R = np.empty((len(q), 3, 3))
-    R[:, 0, 0] = 1 - 2 * (y * y + z * z)
-    R[:, 0, 1] = 2 * (x * y - z * w)
-    R[:, 0, 2] = 2 * (x * z + y * w)
-    R[:, 1, 0] = 2 * (x * y + z * w)
-    R[:, 1, 1] = 1 - 2 * (x * x + z * z)
-    R[:, 1, 2] = 2 * (y * z - x * w)
-    R[:, 2, 0] = 2 * (x * z - y * w)
-    R[:, 2, 1] = 2 * (y * z + x * w)
-    R[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    for i, row in enumerate(rotation_entries(*q.T)):
+        for k, entry in enumerate(row):
+            R[:, i, k] = entry
     return R
+
+
+def euler_to_quaternions(euler: FloatArray) -> FloatArray:
+    """Return the unit quaternions (N, 4) x y z w of roll, pitch and yaw (N, 3), radians: Rz(yaw) Ry(pitch) Rx(roll)."""
+    half = 0.5 * euler
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    return np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=1,
+    )

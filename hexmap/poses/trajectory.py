@@ -36,6 +36,7 @@ class Trajectory:
         quaternions: (N, 4) float64 unit quaternions x y z w.
 
     Examples:
+        >>> from hexmap import Pose, Trajectory
         >>> t = Trajectory.from_poses([0.0, 1.0], [Pose.identity(2), Pose.planar(1.0, 0.0, 0.5)])
         >>> len(t), t.planar, t[1]
         (2, True, Pose.planar(1, 0, 0.5))
@@ -154,8 +155,8 @@ class Trajectory:
         wanted = np.atleast_1d(np.asarray(stamps, dtype=np.float64))
         order = np.argsort(self.stamps, kind="stable")
         ordered = self.stamps[order]
-        place = np.searchsorted(ordered, wanted)
-        right, left = np.minimum(place, len(self) - 1), np.maximum(place - 1, 0)
+        after = np.searchsorted(ordered, wanted)
+        right, left = np.minimum(after, len(self) - 1), np.maximum(after - 1, 0)
         to_left, to_right = np.abs(wanted - ordered[left]), np.abs(ordered[right] - wanted)
         use_left = to_left <= to_right
         found = order[np.where(use_left, left, right)].astype(np.int64)
@@ -196,5 +197,3 @@ class Relations:
     def __len__(self) -> int:
         """Return the number of relations."""
         return len(self.from_stamps)
-
-

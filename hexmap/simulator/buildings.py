@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
 
-__all__ = ["WORLDS", "World", "world"]
+__all__ = ["BUILDINGS", "Building", "make_building"]
 
 Point = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """A building and a path through it, in the world's frame (metres, x east, y north).
+class Building:
+    """A building and a path through it, in the building's frame (metres, x east, y north).
 
     Attributes:
         name: what logs and messages call it.
@@ -43,30 +43,31 @@ class World:
         walls = np.array(self.walls, dtype=np.float64)
         path = np.array(self.waypoints, dtype=np.float64)
         if walls.ndim != 3 or walls.shape[1:] != (2, 2) or len(walls) == 0:
-            raise ArgumentError(f"the walls of a world must be (S, 2, 2) with at least one wall, not {walls.shape}")
+            raise ArgumentError(f"the walls of a building must be (S, 2, 2) with at least one wall, not {walls.shape}")
         if path.ndim != 2 or path.shape[1] != 2 or len(path) < 2:
-            raise ArgumentError(f"the way points of a world must be (W, 2) with at least two, not {path.shape}")
+            raise ArgumentError(f"the way points of a building must be (W, 2) with at least two, not {path.shape}")
         if not (np.isfinite(walls).all() and np.isfinite(path).all()):
-            raise ArgumentError(f"the walls and way points of the world {self.name} must be finite")
+            raise ArgumentError(f"the walls and way points of the building {self.name} must be finite")
         for name, array in (("walls", walls), ("waypoints", path)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
 
-def world(name: str) -> World:
-    """Return the built-in world called ``name``: one of ``WORLDS``.
+def make_building(name: str) -> Building:
+    """Return the built-in building called ``name``: one of ``BUILDINGS``.
 
     Raises:
-        ArgumentError: no world of that name.
+        ArgumentError: no building of that name.
 
     Examples:
-        >>> world("room").walls.shape[1:]
+        >>> from hexmap.simulator import make_building
+        >>> make_building("room").walls.shape[1:]
         (2, 2)
     """
     try:
         make = _MAKERS[name]
     except KeyError:
-        raise ArgumentError(f"no world is called {name!r}; known are {', '.join(WORLDS)}") from None
+        raise ArgumentError(f"no building is called {name!r}; known are {', '.join(BUILDINGS)}") from None
     return make()
 
 
@@ -88,8 +89,8 @@ class _Plan:
 
     def pillar(self, x: float, y: float, radius: float, sides: int = 8, degrees: float = 0.0) -> None:
         """Add a round thing as a regular polygon."""
-        turns = [math.radians(degrees) + 2.0 * math.pi * k / sides for k in range(sides)]
-        self.outline([(x + radius * math.cos(a), y + radius * math.sin(a)) for a in turns])
+        angles = [math.radians(degrees) + 2.0 * math.pi * k / sides for k in range(sides)]
+        self.outline([(x + radius * math.cos(a), y + radius * math.sin(a)) for a in angles])
 
     def wall(self, a: Point, b: Point, thickness: float, doors: Iterable[tuple[float, float]] = ()) -> None:
         """Add a wall from ``a`` to ``b`` with doors at (distance of the middle from ``a``, width)."""
@@ -113,17 +114,17 @@ class _Plan:
         for radius, sides, forwards in ((outer, 10, True), (inner, 8, False)):
             # The gap subtends more on the inside, which makes the jambs parallel.
             gap = math.asin(0.5 * door / radius)
-            turns = [middle + gap + (2.0 * math.pi - 2.0 * gap) * k / sides for k in range(sides + 1)]
-            arc = [(x + radius * math.cos(a), y + radius * math.sin(a)) for a in turns]
+            angles = [middle + gap + (2.0 * math.pi - 2.0 * gap) * k / sides for k in range(sides + 1)]
+            arc = [(x + radius * math.cos(a), y + radius * math.sin(a)) for a in angles]
             corners += arc if forwards else arc[::-1]
         self.outline(corners)
 
-    def world(self, name: str, waypoints: Sequence[Point]) -> World:
-        """Return the finished world."""
-        return World(name, np.array(self.segments), np.array(waypoints))
+    def building(self, name: str, waypoints: Sequence[Point]) -> Building:
+        """Return the finished building."""
+        return Building(name, np.array(self.segments), np.array(waypoints))
 
 
-def _room() -> World:
+def _room() -> Building:
     """Return a plain room of 8 x 6 m with a few boxes in it."""
     plan = _Plan()
     plan.outline([(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0)])
@@ -135,10 +136,46 @@ def _room() -> World:
     plan.pillar(1.9, 0.6, 0.25)
     path = [(1.2, 1.8), (4.6, 1.1), (6.8, 1.8), (6.9, 4.4), (4.8, 4.5), (2.0, 4.9), (1.2, 3.2), (1.2, 1.8), (4.6, 1.1)]
     path += [(4.9, 3.4), (4.6, 4.7), (2.0, 4.9), (1.4, 2.6), (2.4, 1.7)]
-    return plan.world("room", path)
+    return plan.building("room", path)
 
 
-def _office() -> World:
+# Desks, cupboards, tables and chairs of the office: x, y, width, depth, degrees.
+_OFFICE_THINGS = [
+    (1.0, 1.2, 1.6, 0.8, 0.0), (2.6, 4.6, 1.8, 0.5, 0.0), (4.4, 1.4, 0.8, 1.6, 8.0),
+    (7.0, 0.8, 1.2, 0.8, 0.0), (10.2, 3.2, 0.8, 1.6, 0.0), (7.1, 3.4, 0.5, 0.5, 25.0),
+    (12.0, 0.6, 1.6, 0.8, 0.0), (15.1, 2.0, 0.5, 1.8, 0.0), (11.4, 3.4, 0.5, 1.0, 0.0),
+    (16.5, 0.9, 1.0, 1.0, 30.0), (19.4, 2.6, 0.8, 1.8, 0.0),
+    (23.2, 1.9, 2.4, 1.2, 12.0), (25.6, 4.2, 0.6, 1.0, 0.0),
+    (25.4, 6.2, 0.8, 1.6, 0.0), (22.2, 9.1, 1.4, 0.5, 0.0),
+    (25.5, 12.2, 0.7, 1.8, 0.0), (23.9, 9.95, 1.6, 0.6, 0.0), (22.1, 13.6, 1.2, 0.5, 0.0),
+    (25.3, 17.4, 0.9, 2.4, 0.0), (24.0, 20.1, 1.8, 0.6, 0.0), (24.3, 14.6, 1.4, 0.7, -5.0),
+    (25.0, 22.4, 0.8, 1.6, 0.0),
+    (18.4, 25.3, 2.0, 0.8, 0.0), (17.5, 22.0, 0.6, 0.9, 0.0),
+    (14.6, 24.2, 2.2, 1.1, -20.0),
+    (11.9, 22.0, 0.6, 1.6, 0.0), (7.0, 25.4, 1.6, 0.8, 0.0), (9.2, 24.5, 1.6, 0.8, 10.0),
+    (11.2, 25.5, 1.4, 0.7, 0.0),
+    (0.8, 24.6, 0.9, 1.8, 0.0), (3.2, 25.5, 1.6, 0.7, 0.0), (1.4, 21.4, 1.4, 0.6, 0.0),
+    (0.6, 18.8, 0.8, 1.8, 0.0), (2.8, 16.2, 1.6, 0.8, 0.0),
+    (0.6, 11.6, 0.7, 1.6, 0.0), (2.6, 15.1, 1.8, 0.6, 0.0), (0.9, 14.4, 0.8, 0.8, 35.0),
+    (1.2, 7.6, 1.4, 2.0, 15.0), (3.6, 9.8, 1.4, 0.5, 0.0),
+    (7.3, 11.6, 0.8, 0.8, 0.0), (9.2, 10.2, 2.2, 1.0, 0.0),
+    (11.6, 11.2, 0.7, 1.6, 0.0), (14.9, 8.4, 0.6, 1.6, 0.0), (14.8, 11.7, 0.8, 0.6, 0.0),
+    (18.4, 8.0, 1.0, 0.7, -15.0), (17.0, 11.7, 2.4, 0.6, 0.0),
+    (7.2, 18.2, 0.8, 0.8, 0.0), (8.6, 16.4, 1.8, 0.9, 0.0),
+    (18.5, 15.2, 0.9, 1.8, 0.0), (14.7, 16.3, 1.4, 0.7, 0.0), (11.0, 14.6, 1.4, 0.7, 20.0),
+]  # fmt: skip
+_OFFICE_PATH: list[Point] = [
+    (8.0, 6.0), (20.2, 6.0), (20.2, 11.8), (22.6, 11.8), (24.4, 12.9), (24.4, 11.0), (22.6, 11.8), (20.2, 11.8),
+    (20.2, 17.2), (22.4, 17.1), (24.0, 16.6), (24.0, 18.4), (22.2, 17.2), (20.2, 17.2),
+    (20.2, 19.7), (9.0, 19.7), (9.0, 22.0), (10.7, 22.2), (10.6, 23.2), (7.4, 23.3), (7.3, 22.1), (9.0, 21.8),
+    (9.0, 19.7), (5.7, 19.7), (5.7, 13.1), (3.4, 13.1), (1.9, 13.7), (2.2, 12.0), (3.6, 13.1), (5.7, 13.1),
+    (5.7, 6.0), (13.2, 6.0), (13.2, 8.4), (12.8, 10.0), (13.2, 11.0), (13.2, 13.0), (16.0, 13.0), (16.0, 15.0),
+    (17.5, 16.3), (16.4, 17.5), (12.0, 17.6), (12.0, 19.7), (5.7, 19.7), (5.7, 6.0), (13.2, 6.0), (13.2, 3.0),
+    (13.9, 1.9), (12.6, 1.9), (13.2, 3.4), (13.2, 6.0), (17.0, 6.0),
+]  # fmt: skip
+
+
+def _office() -> Building:
     """Return an office of 26 x 26 m: a ring of corridors, a passage across it, rooms on both sides."""
     plan = _Plan()
     plan.outline(
@@ -178,46 +215,12 @@ def _office() -> World:
     plan.box(19.02, 10.4, 0.35, 1.4)
     plan.box(5.06, 9.6, 0.36, 1.0)
     plan.box(17.0, 18.98, 1.6, 0.3)
-    # Desks, cupboards, tables and chairs: x, y, width, depth, degrees.
-    things = [
-        (1.0, 1.2, 1.6, 0.8, 0.0), (2.6, 4.6, 1.8, 0.5, 0.0), (4.4, 1.4, 0.8, 1.6, 8.0),
-        (7.0, 0.8, 1.2, 0.8, 0.0), (10.2, 3.2, 0.8, 1.6, 0.0), (7.1, 3.4, 0.5, 0.5, 25.0),
-        (12.0, 0.6, 1.6, 0.8, 0.0), (15.1, 2.0, 0.5, 1.8, 0.0), (11.4, 3.4, 0.5, 1.0, 0.0),
-        (16.5, 0.9, 1.0, 1.0, 30.0), (19.4, 2.6, 0.8, 1.8, 0.0),
-        (23.2, 1.9, 2.4, 1.2, 12.0), (25.6, 4.2, 0.6, 1.0, 0.0),
-        (25.4, 6.2, 0.8, 1.6, 0.0), (22.2, 9.1, 1.4, 0.5, 0.0),
-        (25.5, 12.2, 0.7, 1.8, 0.0), (23.9, 9.95, 1.6, 0.6, 0.0), (22.1, 13.6, 1.2, 0.5, 0.0),
-        (25.3, 17.4, 0.9, 2.4, 0.0), (24.0, 20.1, 1.8, 0.6, 0.0), (24.3, 14.6, 1.4, 0.7, -5.0),
-        (25.0, 22.4, 0.8, 1.6, 0.0),
-        (18.4, 25.3, 2.0, 0.8, 0.0), (17.5, 22.0, 0.6, 0.9, 0.0),
-        (14.6, 24.2, 2.2, 1.1, -20.0),
-        (11.9, 22.0, 0.6, 1.6, 0.0), (7.0, 25.4, 1.6, 0.8, 0.0), (9.2, 24.5, 1.6, 0.8, 10.0),
-        (11.2, 25.5, 1.4, 0.7, 0.0),
-        (0.8, 24.6, 0.9, 1.8, 0.0), (3.2, 25.5, 1.6, 0.7, 0.0), (1.4, 21.4, 1.4, 0.6, 0.0),
-        (0.6, 18.8, 0.8, 1.8, 0.0), (2.8, 16.2, 1.6, 0.8, 0.0),
-        (0.6, 11.6, 0.7, 1.6, 0.0), (2.6, 15.1, 1.8, 0.6, 0.0), (0.9, 14.4, 0.8, 0.8, 35.0),
-        (1.2, 7.6, 1.4, 2.0, 15.0), (3.6, 9.8, 1.4, 0.5, 0.0),
-        (7.3, 11.6, 0.8, 0.8, 0.0), (9.2, 10.2, 2.2, 1.0, 0.0),
-        (11.6, 11.2, 0.7, 1.6, 0.0), (14.9, 8.4, 0.6, 1.6, 0.0), (14.8, 11.7, 0.8, 0.6, 0.0),
-        (18.4, 8.0, 1.0, 0.7, -15.0), (17.0, 11.7, 2.4, 0.6, 0.0),
-        (7.2, 18.2, 0.8, 0.8, 0.0), (8.6, 16.4, 1.8, 0.9, 0.0),
-        (18.5, 15.2, 0.9, 1.8, 0.0), (14.7, 16.3, 1.4, 0.7, 0.0), (11.0, 14.6, 1.4, 0.7, 20.0),
-    ]  # fmt: skip
-    for thing in things:
+    for thing in _OFFICE_THINGS:
         plan.box(*thing)
-    path = [
-        (8.0, 6.0), (20.2, 6.0), (20.2, 11.8), (22.6, 11.8), (24.4, 12.9), (24.4, 11.0), (22.6, 11.8), (20.2, 11.8),
-        (20.2, 17.2), (22.4, 17.1), (24.0, 16.6), (24.0, 18.4), (22.2, 17.2), (20.2, 17.2),
-        (20.2, 19.7), (9.0, 19.7), (9.0, 22.0), (10.7, 22.2), (10.6, 23.2), (7.4, 23.3), (7.3, 22.1), (9.0, 21.8),
-        (9.0, 19.7), (5.7, 19.7), (5.7, 13.1), (3.4, 13.1), (1.9, 13.7), (2.2, 12.0), (3.6, 13.1), (5.7, 13.1),
-        (5.7, 6.0), (13.2, 6.0), (13.2, 8.4), (12.8, 10.0), (13.2, 11.0), (13.2, 13.0), (16.0, 13.0), (16.0, 15.0),
-        (17.5, 16.3), (16.4, 17.5), (12.0, 17.6), (12.0, 19.7), (5.7, 19.7), (5.7, 6.0), (13.2, 6.0), (13.2, 3.0),
-        (13.9, 1.9), (12.6, 1.9), (13.2, 3.4), (13.2, 6.0), (17.0, 6.0),
-    ]  # fmt: skip
-    return plan.world("office", path)
+    return plan.building("office", _OFFICE_PATH)
 
 
-def _castle() -> World:
+def _castle() -> Building:
     """Return a castle of about 42 x 38 m: thick walls at odd angles, towers, a courtyard around a keep."""
     plan = _Plan()
     yard = (17.0, 15.0)
@@ -264,9 +267,9 @@ def _castle() -> World:
         (14.0, 7.4), keep(-2.3, -6.0), keep(-2.3, -1.2), keep(-0.6, 0.0), keep(3.2, 0.0), keep(3.4, 1.7),
         keep(7.6, 1.7), (27.6, 16.6), (28.6, 13.0), (27.0, 7.0),
     ]  # fmt: skip
-    return plan.world("castle", path)
+    return plan.building("castle", path)
 
 
-_MAKERS: dict[str, Callable[[], World]] = {"office": _office, "castle": _castle, "room": _room}
-WORLDS: tuple[str, ...] = tuple(_MAKERS)
-"""Names of the built-in worlds."""
+_MAKERS: dict[str, Callable[[], Building]] = {"office": _office, "castle": _castle, "room": _room}
+BUILDINGS: tuple[str, ...] = tuple(_MAKERS)
+"""Names of the built-in buildings."""

@@ -1,4 +1,4 @@
-"""The run: a robot drives through a world, and its laser and its wheels report what they believe."""
+"""The run: a robot drives through a building, and its laser and its wheels report what they believe."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from hexmap.base.errors import ArgumentError
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
-from hexmap.simulator.buildings import World
+from hexmap.simulator.buildings import Building
 from hexmap.simulator.drive import Drive
-from hexmap.simulator.laser import Laser, _cast
+from hexmap.simulator.laser import Laser, cast_unchecked
 
 __all__ = ["OdometryNoise", "SimulatedEvent", "simulate"]
 
@@ -26,7 +26,7 @@ _WHEELS, _BEAMS = 0, 1
 class OdometryNoise:
     """Settings of the wheels: how often they report and how they drift.
 
-    White noise grows with the square root of the way, so the drift does not depend on the rate. A bias is constant
+    White noise grows with the square root of the distance, so the drift does not depend on the rate. A bias is constant
     over a run: its sign is drawn and its size is between half of the setting and the whole of it, so that every seed
     drifts.
 
@@ -71,7 +71,7 @@ class SimulatedEvent:
     Attributes:
         event: the scan, in the laser's frame, or the reading of the odometry. The odometry's frame has its origin
             where the robot starts, x ahead.
-        T_map_robot: the true pose of the robot. The map's frame is the world's, that of the walls; the first pose is
+        T_map_robot: the true pose of the robot. The map's frame is the building's, that of the walls; the first pose is
             the first way point, not the identity.
         ranges: (B,) what the laser reported in metres, inf for no return; None for odometry.
     """
@@ -82,20 +82,20 @@ class SimulatedEvent:
 
 
 def simulate(
-    world: World,
+    building: Building,
     laser: Laser | None = None,
     odometry: OdometryNoise | None = None,
     seed: int = 0,
     speed: float = 0.5,
     duration: float | None = None,
 ) -> Iterator[SimulatedEvent]:
-    """Drive through a world and yield what laser and wheels report, in the order of time.
+    """Drive through a building and yield what laser and wheels report, in the order of time.
 
     Stamps begin at 0. Where both report at the same time the wheels come first. A scan is taken at one instant. The
     same arguments give the same numbers, bit for bit; a shorter duration gives the beginning of the longer run.
 
     Args:
-        world: the walls and the path.
+        building: the walls and the path.
         laser: settings of the laser; a SICK LMS by default.
         odometry: settings of the wheels.
         seed: of the random numbers, zero or more.
@@ -106,17 +106,17 @@ def simulate(
         ArgumentError: a setting out of its range.
     """
     # Checked here rather than in the generator, so that the caller hears of it at once.
-    drive, seconds = _plan(world, seed, speed, duration)
-    return _events(world, drive, seconds, laser or Laser(), odometry or OdometryNoise(), seed)
+    drive, seconds = plan_drive(building, seed, speed, duration)
+    return _events(building, drive, seconds, laser or Laser(), odometry or OdometryNoise(), seed)
 
 
-def _plan(world: World, seed: int, speed: float, duration: float | None) -> tuple[Drive, float]:
+def plan_drive(building: Building, seed: int, speed: float, duration: float | None) -> tuple[Drive, float]:
     """Return the drive and how many seconds of it are wanted."""
     if seed < 0:
         raise ArgumentError(f"a seed must be zero or more, not {seed}")
     if duration is not None and not (math.isfinite(duration) and duration > 0.0):
         raise ArgumentError(f"the duration of a run must be positive, not {duration}")
-    drive = Drive(world.waypoints, speed=speed)
+    drive = Drive(building.waypoints, speed=speed)
     return drive, drive.duration if duration is None else min(duration, drive.duration)
 
 
@@ -126,7 +126,7 @@ def _stamps(rate: float, seconds: float) -> NDArray[np.float64]:
 
 
 def _events(
-    world: World, drive: Drive, seconds: float, laser: Laser, odometry: OdometryNoise, seed: int
+    building: Building, drive: Drive, seconds: float, laser: Laser, odometry: OdometryNoise, seed: int
 ) -> Iterator[SimulatedEvent]:
     wheel_stamps, laser_stamps = _stamps(odometry.rate, seconds), _stamps(laser.rate, seconds)
     times = np.concatenate([wheel_stamps, laser_stamps])
@@ -146,7 +146,7 @@ def _events(
             continue
         T_map_laser = T_map_robot @ laser.mount
         heading = angles + T_map_laser.theta
-        ranges = laser.measure(_cast(world.walls, T_map_laser.translation, heading), rng)
+        ranges = laser.measure(cast_unchecked(building.walls, T_map_laser.translation, heading), rng)
         hit = np.isfinite(ranges)
         scan = Scan(stamp, ranges[hit, None] * rays[hit], rays[~hit], T_odom_robot)
         yield SimulatedEvent(scan, T_map_robot, ranges)
@@ -160,14 +160,14 @@ def _drift(truth: NDArray[np.float64], settings: OdometryNoise, rng: np.random.G
     )
     steps = np.diff(truth, axis=0)
     white = rng.standard_normal((len(steps), 2))
-    way, turn = np.hypot(steps[:, 0], steps[:, 1]), steps[:, 2]
+    metres, turn = np.hypot(steps[:, 0], steps[:, 1]), steps[:, 2]
     bearing = np.arctan2(steps[:, 1], steps[:, 0]) - truth[:-1, 2]
-    way_seen = way * (1.0 + scale_bias) + settings.translation * np.sqrt(way) * white[:, 0]
-    spread = np.sqrt(settings.rotation**2 * np.abs(turn) + settings.heading**2 * way)
-    turn_seen = turn * (1.0 + rotation_bias) + heading_bias * way + spread * white[:, 1]
+    metres_seen = metres * (1.0 + scale_bias) + settings.translation * np.sqrt(metres) * white[:, 0]
+    spread = np.sqrt(settings.rotation**2 * np.abs(turn) + settings.heading**2 * metres)
+    turn_seen = turn * (1.0 + rotation_bias) + heading_bias * metres + spread * white[:, 1]
     believed = np.zeros_like(truth)
     believed[1:, 2] = np.cumsum(turn_seen)
     direction = believed[:-1, 2] + bearing
-    believed[1:, 0] = np.cumsum(way_seen * np.cos(direction))
-    believed[1:, 1] = np.cumsum(way_seen * np.sin(direction))
+    believed[1:, 0] = np.cumsum(metres_seen * np.cos(direction))
+    believed[1:, 1] = np.cumsum(metres_seen * np.sin(direction))
     return believed

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.errors import ArgumentError
 from hexmap.poses.pose import Pose
 
-__all__ = ["NO_RETURN", "Laser", "cast"]
+__all__ = ["NO_RETURN", "Laser", "cast", "cast_unchecked"]
 
 NO_RETURN = 81.83
 """Range in metres that a SICK LMS, and so a CARMEN log, writes for a beam that returned nothing."""
@@ -115,6 +115,8 @@ def cast(walls: ArrayLike, origin: ArrayLike, angles: ArrayLike) -> NDArray[np.f
         ArgumentError: arrays of other shapes, or values that are not finite.
 
     Examples:
+        >>> import math
+        >>> from hexmap.simulator import cast
         >>> cast([[[2.0, -1.0], [2.0, 1.0]]], [0.0, 0.0], [0.0, math.pi]).tolist()
         [2.0, inf]
     """
@@ -127,11 +129,13 @@ def cast(walls: ArrayLike, origin: ArrayLike, angles: ArrayLike) -> NDArray[np.f
         )
     if not (np.isfinite(w).all() and np.isfinite(o).all() and np.isfinite(theta).all()):
         raise ArgumentError("walls, origins and angles of rays must be finite")
-    return _cast(w, o, theta)
+    return cast_unchecked(w, o, theta)
 
 
-def _cast(walls: NDArray[np.float64], origin: NDArray[np.float64], angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what ``cast`` does, without checks."""
+def cast_unchecked(
+    walls: NDArray[np.float64], origin: NDArray[np.float64], angles: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what :func:`cast` does, of float64 arrays that are known to be right."""
     beams = len(angles)
     ranges = np.full(beams, np.inf)
     if len(walls) == 0 or beams == 0:

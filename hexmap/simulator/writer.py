@@ -19,8 +19,8 @@ from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
-from hexmap.simulator.buildings import World
-from hexmap.simulator.events import OdometryNoise, _plan, simulate
+from hexmap.simulator.buildings import Building
+from hexmap.simulator.events import OdometryNoise, plan_drive, simulate
 from hexmap.simulator.laser import NO_RETURN, Laser
 
 __all__ = ["LogSummary", "write_log"]
@@ -33,7 +33,7 @@ class LogSummary:
     Attributes:
         scans: number of laser readings.
         odometry: number of odometry readings.
-        metres: way driven.
+        metres: distance driven.
         seconds: time of the last event; the first is at 0.
         path: the log.
         truth_path: the true poses, if they were asked for.
@@ -49,7 +49,7 @@ class LogSummary:
 
 def write_log(
     path: str | os.PathLike[str],
-    world: World,
+    building: Building,
     truth_path: str | os.PathLike[str] | None = None,
     *,
     laser: Laser | None = None,
@@ -61,14 +61,14 @@ def write_log(
     """Simulate a run and write it as a CARMEN log, with the true poses as a TUM file.
 
     The log has ``FLASER`` lines (ranges to the centimetre, 81.83 for no return) and ``ODOM`` lines; the same
-    arguments give the same bytes. CARMEN text holds neither the angles of the beams nor the place of the laser: a
-    reader assumes 180 degrees counter-clockwise from -90 and has to be told of any other ``laser``. The true poses
-    are T_world_robot, one line ``stamp x y z qx qy qz qw`` for each event, in the order of the log; the odometry
-    begins at 0 instead. Each file appears complete or not at all.
+    arguments give the same bytes. CARMEN text holds neither the angles of the beams nor where the laser is mounted:
+    a reader assumes 180 degrees counter-clockwise from -90 and has to be told of any other ``laser``. The true poses
+    are T_map_robot, the map's frame being the building's, one line ``stamp x y z qx qy qz qw`` for each event, in the
+    order of the log; the odometry begins at 0 instead. Each file appears complete or not at all.
 
     Args:
         path: the log; compressed if the name ends in ``.gz``.
-        world: the walls and the path.
+        building: the walls and the path.
         truth_path: the true poses; None writes none.
         laser: settings of the laser; a SICK LMS by default.
         odometry: settings of the wheels.
@@ -81,8 +81,8 @@ def write_log(
         FileAccessError: a file that cannot be written.
     """
     laser = laser or Laser()
-    drive, _ = _plan(world, seed, speed, duration)
-    events = simulate(world, laser, odometry, seed, speed, duration)
+    drive, _ = plan_drive(building, seed, speed, duration)
+    events = simulate(building, laser, odometry, seed, speed, duration)
     log_path, tum_path = Path(path), None if truth_path is None else Path(truth_path)
     if log_path == tum_path:
         raise ArgumentError(f"the log and the true poses cannot both be {log_path}")
@@ -93,8 +93,8 @@ def write_log(
         # Entered first, so left last: the log takes its name only when the true poses have theirs.
         log = files.enter_context(_open(log_path))
         truth = None if tum_path is None else files.enter_context(_open(tum_path))
-        name = " ".join(world.name.split())
-        log.write(f"# CARMEN log, simulated by hexmap: world {name}, seed {seed}\n")
+        name = " ".join(building.name.split())
+        log.write(f"# CARMEN log, simulated by hexmap: building {name}, seed {seed}\n")
         for simulated in events:
             event = simulated.event
             stamp = event.stamp

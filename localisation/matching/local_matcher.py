@@ -35,8 +35,9 @@ class ScanMatcher:
     """Matches scans against a map on any lattice.
 
     Examples:
-        >>> from hexmap import VoxelList
-        >>> from localisation.matching import ListOccupancy
+        >>> import numpy as np
+        >>> from hexmap import Lattice, Pose, VoxelList
+        >>> from localisation.matching import ListOccupancy, ScanMatcher
         >>> lattice = Lattice.named("A2", resolution=0.1)
         >>> wall = np.stack([np.linspace(-2, 2, 60), np.full(60, 1.5)], axis=1)
         >>> corner = np.concatenate([wall, wall[:, ::-1]])

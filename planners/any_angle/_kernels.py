@@ -17,165 +17,380 @@ row of them is an interval. There are no ties to break and no steps that add up 
 # Numba gives the kernels their types.
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from planners.search._shared_kernels import drop_top, may_move, rise
 
+# What is known of a cell that Theta* has reached.
 SEEN = np.uint8(1)  # has a g, perhaps by a parent that does not see it
 SURE = np.uint8(2)  # its parent is known to see it
 DONE = np.uint8(4)  # expanded with its present g
 EXPANDED = np.uint8(8)  # expanded once: its g never rises
-SHIFT = 2  # blocks of rooms are 4 cells wide
-CHECK = 4  # layers until the room is looked up again where there was none
+
+# Entries of the counts.
+EXPANSIONS, PUSHES, LINES, SCANNED = range(4)
+
+SHIFT = 2  # blocks are 4 cells wide
+CHECK = 4  # layers until the distance is looked up again where a block had none
+FARTHEST = 254  # blocks: as far as a distance is told
 SLIDES = 1000  # of one turning cell in a row
-_BETTER = 1.0 - 1e-12  # less of a gain is none
+_BETTER = 1.0 - 1e-12  # a smaller gain is a rounding error
+
+
+class View(NamedTuple):
+    """What the line of sight needs to know of a lattice and a window, as plain arrays.
+
+    Attributes:
+        strides: (n,) int64 of the window.
+        shape: (n,) int64 cells along each index.
+        block_strides: (n,) int64 of the blocks of 4 cells a side.
+        basis: (n, n) float64, metres.
+        gram: (n, n) float64 of the basis.
+        generators: (E, n) float64, the edges of the cell, one of each direction, in index coordinates.
+        reach: (n,) float64, how far the cell reaches along each index.
+        least: a cell between the two ends of a line has a product, by ``gram``, with the line of more than this.
+        touch: the cell is taken larger by this fraction.
+        guard: whether cells touched by a line in the window may lie outside it.
+        strips: (2, E) float64 scratch of :func:`walk`.
+    """
+
+    strides: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    block_strides: NDArray[np.int64]
+    basis: NDArray[np.float64]
+    gram: NDArray[np.float64]
+    generators: NDArray[np.float64]
+    reach: NDArray[np.float64]
+    least: float
+    touch: float
+    guard: bool
+    strips: NDArray[np.float64]
+
+
+class Cells(NamedTuple):
+    """What lines run through.
+
+    Attributes:
+        free: (size,) states; 0 is blocked.
+        distances: (blocks,) what :func:`block_distances` returned, or empty: then every cell is looked at.
+        terrain: (size,) float64, or empty: then lines may cross any of it.
+    """
+
+    free: NDArray[np.uint8]
+    distances: NDArray[np.uint8]
+    terrain: NDArray[np.float64]
+
+
+class Segment(NamedTuple):
+    """A line between two cells of the window.
+
+    Attributes:
+        at: (n,) int64 its first cell, in window coordinates.
+        v: (n,) int64 the displacement to its last.
+        touched: (N,) int64, where :func:`walk` lists the flat cells that it touches; empty: nowhere.
+    """
+
+    at: NDArray[np.int64]
+    v: NDArray[np.int64]
+    touched: NDArray[np.int64]
+
+
+class Moves(NamedTuple):
+    """The moves of a graph.
+
+    Attributes:
+        offsets: (K,) int64 flat offsets.
+        lengths: (K,) float64, metres.
+        steps: (K, n) float64, metres along each axis.
+        swept_starts: (K + 1,) where the cells that a move sweeps begin.
+        swept: (S,) flat offsets of those cells.
+    """
+
+    offsets: NDArray[np.int64]
+    lengths: NDArray[np.float64]
+    steps: NDArray[np.float64]
+    swept_starts: NDArray[np.int64]
+    swept: NDArray[np.int64]
+
+
+class Tree(NamedTuple):
+    """What a search knows of the cells; ``g`` and ``parent`` are read only where ``mark`` is set.
+
+    Attributes:
+        g: (size,) float64 length of the path to a cell, metres.
+        parent: (size,) int32, the flat cell from which a straight line leads to it.
+        mark: (size,) uint8, the bits SEEN, SURE, DONE and EXPANDED; zero before a search.
+    """
+
+    g: NDArray[np.float64]
+    parent: NDArray[np.int32]
+    mark: NDArray[np.uint8]
+
+
+class Shadow(NamedTuple):
+    """The cell's shadow along a segment, seen in the layers across the segment's longest index.
+
+    Attributes:
+        major: the index along which the segment is longest; a layer has one value of it.
+        middle: the index that numbers the rows of a layer (in the plane there is one row).
+        inner: the index along a row.
+        slope_middle: how far the segment moves along ``middle`` a layer.
+        slope_inner: the same along ``inner``.
+        reach_middle: how far the shadow reaches along ``middle``.
+        strips: how many of the view's strips bound a row.
+        spread: whole cells by which a touched cell may be off the segment along ``middle`` and ``inner``.
+    """
+
+    major: int
+    middle: int
+    inner: int
+    slope_middle: float
+    slope_inner: float
+    reach_middle: float
+    strips: int
+    spread: int
+
+
+# ---------------------------------------------------------------------- places and lengths
 
 
 @njit(cache=True, nogil=True)
-def walk(view, free, room, at, v, values, alike, out):
-    """Look at the cells that the segment from the cell ``at`` to ``at + v`` touches, the ends included.
+def write_position(strides, flat, out):
+    """Write the window coordinates of a flat cell."""
+    rest = flat
+    for i in range(strides.shape[0] - 1):
+        x = rest // strides[i]
+        out[i] = x
+        rest -= x * strides[i]
+    out[strides.shape[0] - 1] = rest
 
-    Args:
-        view: the lattice and the window (see ``planners.any_angle.theta_star.View``).
-        free: (size,) states.
-        room: what :func:`rooms` returned, or empty: where it is wide, cells are not looked at one by one.
-        at: (n,) the start in window coordinates.
-        v: (n,) way to the end, which lies in the window as well.
-        values: (size,) or empty; a cell is as good as not free where it differs from ``alike``.
-        alike: that value.
-        out: flat cells are written here if it has any room; it must have enough.
 
-    Returns:
-        the number of cells (and entries of ``room``) looked at, negative where the last of them is not free.
+@njit(cache=True, nogil=True)
+def norm(basis, v):
+    """Return the length of the displacement ``v`` (n,) in index coordinates, metres."""
+    n = v.shape[0]
+    total = 0.0
+    for r in range(n):
+        x = 0.0
+        for c in range(n):
+            x += basis[r, c] * v[c]
+        total += x * x
+    return np.sqrt(total)
+
+
+@njit(cache=True, nogil=True)
+def span(strides, basis, a, b, at, v):
+    """Return the distance of two flat cells, metres; write the position of ``a`` and the displacement to ``b``.
+
+    Called for every cell that a search reaches, and therefore with plain arrays: a NamedTuple would have its
+    references counted at every call.
     """
-    strides = view.strides
-    generators = view.generators
-    work = view.work
-    n = strides.shape[0]
+    write_position(strides, b, v)
+    write_position(strides, a, at)
+    for i in range(strides.shape[0]):
+        v[i] -= at[i]
+    return norm(basis, v)
+
+
+@njit(cache=True, nogil=True)
+def join(view, a, b, segment):
+    """Return the distance of the flat cells ``a`` and ``b``, metres; the segment becomes the line between them."""
+    return span(view.strides, view.basis, a, b, segment.at, segment.v)
+
+
+@njit(cache=True, nogil=True)
+def empty_segment(n):
+    """Return a segment of ``n`` indices for :func:`join` to fill, which lists no cells."""
+    return Segment(np.empty(n, np.int64), np.empty(n, np.int64), np.empty(0, np.int64))
+
+
+@njit(cache=True, nogil=True)
+def plain_cells(free):
+    """Return cells without terrain, every one of which is looked at."""
+    return Cells(free, np.empty(0, np.uint8), np.empty(0, np.float64))
+
+
+# ---------------------------------------------------------------------- line of sight
+#
+# The helpers of walk are inlined into it: many lines end after a few cells, and a call that hands over arrays and
+# brings back many numbers would be felt.
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _shadow_across(generators, v, major, inner):
+    """Return how wide the cell's shadow along ``v`` is, measured along ``inner`` in a layer across ``major``."""
+    slope = v[inner] / v[major]
+    total = 0.0
+    for e in range(generators.shape[0]):
+        total += abs(generators[e, inner] - generators[e, major] * slope)
+    return total
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cast_shadow(generators, touch, v, strips):
+    """Return the :class:`Shadow` along ``v`` (n,), which is not 0, and write what bounds its rows into ``strips``.
+
+    A generator is moved along v into the layer through 0: what is left of it are its coordinates along the
+    middle and the inner index. The shadow is the zonotope of these. It is the intersection of one strip for each
+    pair of its sides; the row y of a strip is the interval y * strips[0] -+ strips[1].
+    """
+    n = v.shape[0]
     count = generators.shape[0]
-    base = np.int64(0)
+    # Layers across the longest index: no other order has fewer of them, and slopes are at most 1.
     major = 0
     for i in range(n):
-        base += at[i] * strides[i]
         if abs(v[i]) > abs(v[major]):
             major = i
-    listing = out.shape[0] > 0
-    compare = values.shape[0] > 0
-    long = v[major]
-    if long == 0:
-        if listing:
-            out[0] = base
-        if free[base] == 0 or (compare and values[base] != alike):
-            return -1
-        return 1
     inner = n - 1 if major != n - 1 else n - 2
-    middle = 3 - major - inner if n == 3 else inner
-    grow = 1.0 + view.touch
-    slope_inner = v[inner] / long
-    slope_middle = 0.0
-    reach_middle = 0.0
-    stride_middle = np.int64(0)
-    strips = 0
+    grow = 1.0 + touch
+    width = _shadow_across(generators, v, major, inner)
+    slope_inner = v[inner] / v[major]
     if n == 2:
-        total = 0.0
-        for e in range(count):
-            total += abs(generators[e, inner] - generators[e, major] * slope_inner)
-        work[0, 0] = 0.0
-        work[1, 0] = 0.5 * total * grow
-        strips = 1
-    else:
-        slope_middle = v[middle] / long
-        stride_middle = strides[middle]
-        total = 0.0
-        for e in range(count):
-            total += abs(generators[e, middle] - generators[e, major] * slope_middle)
-        reach_middle = 0.5 * total * grow
-        for e in range(count):
-            # The shadow's side along z_e, in coordinates of the layer.
-            z_middle = generators[e, middle] - generators[e, major] * slope_middle
-            z_inner = generators[e, inner] - generators[e, major] * slope_inner
-            if abs(z_middle) <= 1e-9 * reach_middle:
-                continue  # along the row, where reach_middle bounds, or along v
-            total = 0.0
-            for d in range(count):
-                y = generators[d, middle] - generators[d, major] * slope_middle
-                x = generators[d, inner] - generators[d, major] * slope_inner
-                total += abs(x * z_middle - y * z_inner)
-            work[0, strips] = z_inner / z_middle
-            work[1, strips] = 0.5 * total * grow / abs(z_middle)
-            strips += 1
-    total = 0.0
+        # The layer is a row, and the shadow an interval.
+        strips[0, 0] = 0.0
+        strips[1, 0] = 0.5 * width * grow
+        return Shadow(major, inner, inner, 0.0, slope_inner, 0.0, 1, np.int64(np.ceil(0.5 * width + 0.51)))
+    middle = 3 - major - inner
+    slope_middle = v[middle] / v[major]
+    reach_middle = 0.5 * _shadow_across(generators, v, major, middle) * grow
+    used = 0
     for e in range(count):
-        total += abs(generators[e, inner] - generators[e, major] * slope_inner)
-    spread = np.int64(np.ceil(max(reach_middle, 0.5 * total) + 0.51))
-    skipping = room.shape[0] > 0 and not listing and not compare
-    least = view.least
+        # The two sides of the shadow along z_e.
+        z_middle = generators[e, middle] - generators[e, major] * slope_middle
+        z_inner = generators[e, inner] - generators[e, major] * slope_inner
+        if abs(z_middle) <= 1e-9 * reach_middle:
+            continue  # along the row, where reach_middle bounds, or along v
+        total = 0.0
+        for d in range(count):
+            y = generators[d, middle] - generators[d, major] * slope_middle
+            x = generators[d, inner] - generators[d, major] * slope_inner
+            total += abs(x * z_middle - y * z_inner)
+        strips[0, used] = z_inner / z_middle
+        strips[1, used] = 0.5 * total * grow / abs(z_middle)
+        used += 1
+    # Half a cell more, because positions on the segment are rounded to cells.
+    spread = np.int64(np.ceil(max(reach_middle, 0.5 * width) + 0.51))
+    return Shadow(major, middle, inner, slope_middle, slope_inner, reach_middle, used, spread)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _rates(gram, v, major, inner):
+    """Return G v (n,) along the major, the middle and the inner index, 0 where there is no middle, and v G v."""
     vgv = 0.0
-    rate_major = 0.0
-    rate_middle = 0.0
-    rate_inner = 0.0
-    for i in range(n):
+    along_major = 0.0
+    along_middle = 0.0
+    along_inner = 0.0
+    for i in range(v.shape[0]):
         rate = 0.0
-        for k in range(n):
-            rate += view.gram[i, k] * v[k]
+        for k in range(v.shape[0]):
+            rate += gram[i, k] * v[k]
         vgv += rate * v[i]
         if i == major:
-            rate_major = rate
+            along_major = rate
         elif i == inner:
-            rate_inner = rate
+            along_inner = rate
         else:
-            rate_middle = rate
+            along_middle = rate
+    return along_major, along_middle, along_inner, vgv
+
+
+@njit(cache=True, nogil=True)
+def walk(view, cells, segment, alike):
+    """Look at the cells that a segment touches, the ends included, and list them in ``segment.touched`` if it has room.
+
+    Args:
+        view: the lattice and the window.
+        cells: what is free. Where ``cells.distances`` says that blocks around the line are free, cells are not
+            looked at one by one, unless they are listed or compared.
+        segment: both its ends lie in the window; where it lists cells, ``touched`` must have room enough.
+        alike: with terrain, a cell is as good as blocked where its terrain is another.
+
+    Returns:
+        the number of cells (and distances of blocks) looked at, negative where the last of them is not free.
+    """
+    strides, strips = view.strides, view.strips
+    free, distances, terrain = cells
+    at, v, out = segment
+    n = strides.shape[0]
+    listing = out.shape[0] > 0
+    compare = terrain.shape[0] > 0
+    base = np.int64(0)
+    still = True
+    for i in range(n):
+        base += at[i] * strides[i]
+        still = still and v[i] == 0
+    if still:
+        if listing:
+            out[0] = base
+        return -1 if free[base] == 0 or (compare and terrain[base] != alike) else 1
+
+    # The polygon of the touched cells: the same in every layer, moved along.
+    shadow = _cast_shadow(view.generators, view.touch, v, strips)
+    major, middle, inner = shadow.major, shadow.middle, shadow.inner
+    slope_middle, slope_inner, reach_middle = shadow.slope_middle, shadow.slope_inner, shadow.reach_middle
+    used = shadow.strips
+    stride_major, stride_inner = strides[major], strides[inner]
+    stride_middle = strides[middle] if n == 3 else np.int64(0)
+    at_major, at_middle, at_inner = at[major], at[middle], at[inner]
+    block_major, block_inner = view.block_strides[major], view.block_strides[inner]
+    block_middle = view.block_strides[middle]
+
+    # c G v, which tells on which side of an end a cell lies, as a sum over the indices of c.
+    rate_major, rate_middle, rate_inner, vgv = _rates(view.gram, v, major, inner)
+
+    # Layer by layer from one end to the other. The cells around an end reach beyond it by ``margin`` layers, and
+    # only so near to an end can the polygon hold cells that the segment does not touch.
+    long = v[major]
     step = 1 if long > 0 else -1
     length = abs(long)
     margin = np.int64(np.floor(view.reach[major] + 1e-6))
-    seen = 0
-    stride_major = strides[major]
-    stride_inner = strides[inner]
-    at_major = at[major]
-    at_inner = at[inner]
-    at_middle = at[middle] if n == 3 else np.int64(0)
-    block_major = view.block_strides[major]
-    block_inner = view.block_strides[inner]
-    block_middle = view.block_strides[middle] if n == 3 else np.int64(0)
-    layer = -margin
+    skipping = distances.shape[0] > 0 and not listing and not compare
     check = np.int64(0)
+    seen = 0
+    layer = -margin
     while layer <= length + margin:
         i = layer * step
         if skipping and check <= layer <= length:
+            # All cells that the distance of this block promises, along each index, are free. The segment advances
+            # fastest along its longest index: for as many layers, less the shadow's spread, it stays among them.
             block = ((at_major + i) >> SHIFT) * block_major
             block += ((at_inner + np.int64(np.floor(i * slope_inner + 0.5))) >> SHIFT) * block_inner
             if n == 3:
                 block += ((at_middle + np.int64(np.floor(i * slope_middle + 0.5))) >> SHIFT) * block_middle
             seen += 1
-            # All cells this far along each index are free, and the line strays by no more than it advances.
-            skip = ((np.int64(room[block]) - 1) << SHIFT) - spread
+            skip = ((np.int64(distances[block]) - 1) << SHIFT) - shadow.spread
             if skip >= 0:
                 layer += skip + 1
                 continue
-            check = layer + CHECK
+            check = layer + CHECK  # the next few would fail too
         layer += 1
         near_end = layer <= margin + 1 or layer > length - margin
         centre_middle = i * slope_middle
         centre_inner = i * slope_inner
         first = np.int64(np.ceil(centre_middle - reach_middle))
         for j in range(first, np.int64(np.floor(centre_middle + reach_middle)) + 1):
+            # The row is where the strips meet.
             y = j - centre_middle
             low = -np.inf
             high = np.inf
-            for s in range(strips):
-                x = work[0, s] * y
-                low = max(low, x - work[1, s])
-                high = min(high, x + work[1, s])
+            for s in range(used):
+                x = strips[0, s] * y
+                low = max(low, x - strips[1, s])
+                high = min(high, x + strips[1, s])
             flat = base + i * stride_major + j * stride_middle
             start = np.int64(np.ceil(centre_inner + low))
             for k in range(start, np.int64(np.floor(centre_inner + high)) + 1):
                 if near_end and not (i == 0 and k == 0 and j == 0):
                     q = i * rate_major + j * rate_middle + k * rate_inner
                     end = i == long and k == v[inner] and (n == 2 or j == v[middle])
-                    if (q < least or q > vgv - least) and not end:
+                    if (q < view.least or q > vgv - view.least) and not end:
                         continue
                 if view.guard:
+                    # The window's padding is too thin for this cell: outside nothing is free.
                     inside = (
                         0 <= at_major + i < view.shape[major]
                         and 0 <= at_inner + k < view.shape[inner]
@@ -187,13 +402,67 @@ def walk(view, free, room, at, v, values, alike, out):
                 if listing:
                     out[seen] = cell
                 seen += 1
-                if free[cell] == 0 or (compare and values[cell] != alike):
+                if free[cell] == 0 or (compare and terrain[cell] != alike):
                     return -seen
     return seen
 
 
 @njit(cache=True, nogil=True)
-def rooms(view, free):
+def _counted(seen, counts):
+    """Tell whether a :func:`walk` that returned ``seen`` found the line free; count the line and its cells."""
+    counts[LINES] += 1
+    counts[SCANNED] += abs(seen)
+    return seen > 0
+
+
+@njit(cache=True, nogil=True)
+def _sees(view, cells, a, b, segment, counts):
+    """Tell whether the flat cell ``a`` sees ``b``; count the line and its cells."""
+    join(view, a, b, segment)
+    return _counted(walk(view, cells, segment, 0.0), counts)
+
+
+@njit(cache=True, nogil=True)
+def sights(view, free, distances, starts, ends, inside, out):
+    """Write for each pair of ``starts`` and ``ends`` (M, n), window coordinates, whether one sees the other.
+
+    Pairs that are not ``inside`` (M,) the window are left as they are. ``distances`` are those of :class:`Cells`.
+
+    Returns:
+        the number of cells looked at.
+    """
+    cells = Cells(free, distances, np.empty(0, np.float64))
+    segment = empty_segment(starts.shape[1])
+    scanned = 0
+    for m in range(starts.shape[0]):
+        if not inside[m]:
+            continue
+        for i in range(starts.shape[1]):
+            segment.at[i] = starts[m, i]
+            segment.v[i] = ends[m, i] - starts[m, i]
+        seen = walk(view, cells, segment, 0.0)
+        scanned += abs(seen)
+        out[m] = seen > 0
+    return scanned
+
+
+@njit(cache=True, nogil=True)
+def touched(view, free, a, b):
+    """Return the flat cells that the segment between the flat cells ``a`` and ``b`` touches; it is free."""
+    cells = plain_cells(free)
+    segment = empty_segment(view.strides.shape[0])
+    join(view, a, b, segment)
+    # Once to count them, once to list them.
+    out = np.empty(abs(walk(view, cells, segment, 0.0)), np.int64)
+    walk(view, cells, Segment(segment.at, segment.v, out), 0.0)
+    return out
+
+
+# ---------------------------------------------------------------------- blocks that are far from anything blocked
+
+
+@njit(cache=True, nogil=True)
+def block_distances(view, free):
     """Return for each block of cells, 4 along each index, how far the nearest block with a cell that is not free is.
 
     Counted in blocks, diagonal steps as one, 254 at most, 0 for such a block itself; in ``view.block_strides``
@@ -206,7 +475,7 @@ def rooms(view, free):
     deep = (layers + 3) >> SHIFT
     high = (rows + 3) >> SHIFT
     wide = (columns + 3) >> SHIFT
-    out = np.full(deep * high * wide, 254, np.uint8)
+    out = np.full(deep * high * wide, FARTHEST, np.uint8)
     for x in range(layers):
         for y in range(rows):
             line = ((x >> SHIFT) * high + (y >> SHIFT)) * wide
@@ -214,93 +483,43 @@ def rooms(view, free):
             for z in range(columns):
                 if free[begin + z] == 0:
                     out[line + (z >> SHIFT)] = 0
-    # What lies before a block in the order of memory, then what lies behind (Rosenfeld and Pfaltz, 1968).
+    # Two sweeps make the distances final: each block learns from the neighbours that lie before it in the order of
+    # memory, then from those that lie behind it (Rosenfeld and Pfaltz, 1968).
     for sweep in range(2):
         for m in range(out.shape[0]):
             at = m if sweep == 0 else out.shape[0] - 1 - m
-            least = np.int64(out[at])
-            if least == 0:
-                continue
-            z = at % wide
-            y = (at // wide) % high
-            x = at // (wide * high)
-            for dx in range(-1, 2):
-                for dy in range(-1, 2):
-                    for dz in range(-1, 2):
-                        other = (dx * high + dy) * wide + dz
-                        if (other >= 0) != (sweep == 1) or other == 0:
-                            continue
-                        if 0 <= x + dx < deep and 0 <= y + dy < high and 0 <= z + dz < wide:
-                            least = min(least, np.int64(out[at + other]) + 1)
-                        elif n == 3 or dx == 0:
-                            least = min(least, 1)  # outside nothing is free
-            out[at] = least
+            out[at] = _distance_by_neighbours(out, at, sweep, deep, high, wide, n)
     return out
 
 
 @njit(cache=True, nogil=True)
-def sights(view, free, room, starts, ends, inside, out):
-    """Write for each pair of ``starts`` and ``ends`` (M, n), window coordinates, whether one sees the other.
+def _distance_by_neighbours(out, at, sweep, deep, high, wide, n):
+    """Return the distance of the block ``at`` from those of its neighbours that this sweep has been to."""
+    least = np.int64(out[at])
+    if least == 0:
+        return least
+    z = at % wide
+    y = (at // wide) % high
+    x = at // (wide * high)
+    for dx in range(-1, 2):
+        for dy in range(-1, 2):
+            for dz in range(-1, 2):
+                other = (dx * high + dy) * wide + dz
+                if (other >= 0) != (sweep == 1) or other == 0:
+                    continue
+                if 0 <= x + dx < deep and 0 <= y + dy < high and 0 <= z + dz < wide:
+                    least = min(least, np.int64(out[at + other]) + 1)
+                elif n == 3 or dx == 0:
+                    least = min(least, 1)  # outside nothing is free
+    return least
 
-    Returns:
-        the number of cells looked at.
-    """
-    n = starts.shape[1]
-    v = np.empty(n, np.int64)
-    none = np.empty(0, np.float64)
-    nowhere = np.empty(0, np.int64)
-    scanned = 0
-    for m in range(starts.shape[0]):
-        if not inside[m]:
-            continue
-        for i in range(n):
-            v[i] = ends[m, i] - starts[m, i]
-        seen = walk(view, free, room, starts[m], v, none, 0.0, nowhere)
-        scanned += abs(seen)
-        out[m] = seen > 0
-    return scanned
 
-
-@njit(cache=True, nogil=True)
-def place(strides, flat, out):
-    """Write the window coordinates of a flat cell."""
-    rest = flat
-    for i in range(strides.shape[0] - 1):
-        x = rest // strides[i]
-        out[i] = x
-        rest -= x * strides[i]
-    out[strides.shape[0] - 1] = rest
+# ---------------------------------------------------------------------- lazy Theta*
 
 
 @njit(cache=True, nogil=True)
-def between(view, a, b, at, v):
-    """Return the distance of the flat cells ``a`` and ``b``, metres; write the place of ``a`` and the way to ``b``."""
-    n = view.strides.shape[0]
-    place(view.strides, b, v)
-    place(view.strides, a, at)
-    for i in range(n):
-        v[i] -= at[i]
-    return norm(view.basis, v)
-
-
-@njit(cache=True, nogil=True)
-def norm(basis, v):
-    """Return the length of the way ``v`` (n,) in index coordinates, metres."""
-    n = v.shape[0]
-    total = 0.0
-    for r in range(n):
-        x = 0.0
-        for c in range(n):
-            x += basis[r, c] * v[c]
-        total += x * x
-    return np.sqrt(total)
-
-
-@njit(cache=True, nogil=True)
-def search(
-    view, free, offsets, lengths, steps, swept_starts, swept, start, goal, scale, lazy, g, parent, mark, counts
-):  # fmt: skip
-    """Search from ``start`` to ``goal`` by Theta*; return whether there is a path, written in ``parent``.
+def search(view, free, moves, start, goal, scale, lazy, tree, counts):
+    """Search from ``start`` to ``goal`` by Theta*; return whether there is a path, written in ``tree.parent``.
 
     A cell is reached from its neighbour's parent if that sees it, else from the neighbour (Nash and
     others, 2007); whether it does is looked up when the cell is expanded (lazily; Nash, Koenig and
@@ -310,165 +529,170 @@ def search(
     shortest one of moves.
 
     Args:
-        view: see :func:`walk`.
-        free: the graph's cells (size,).
-        offsets: its moves (K,).
-        lengths: their lengths (K,), metres.
-        steps: (K, n) the moves, metres.
-        swept_starts: (K + 1,) where the cells that a move sweeps begin.
-        swept: (S,) those cells.
+        view: the lattice and the window.
+        free: (size,) the graph's cells.
+        moves: the graph's moves.
         start: flat cell.
         goal: flat cell.
         scale: keys a metre.
         lazy: whether lines are looked along late.
-        g: (size,) float64, written where ``mark`` is.
-        parent: (size,) int32, the same.
-        mark: (size,) uint8, zero.
-        counts: (4,) int64: expansions, pushes, lines of sight, cells looked at on them.
+        tree: of sparse_zeros arrays; it is written.
+        counts: (4,) int64, zero: expansions, pushes, lines of sight, cells looked at on them.
     """
-    n = view.strides.shape[0]
-    moves = offsets.shape[0]
+    # The names of the arrays: taking one out of a NamedTuple in a loop would count a reference each time.
+    strides, basis = view.strides, view.basis
+    offsets, lengths, steps, swept_starts, swept = moves
+    g, parent, mark = tree
+    n = strides.shape[0]
+    cells = plain_cells(free)
+    segment = empty_segment(n)
+    at, v, _ = segment
+    ahead = np.empty(n, np.float64)
+    behind = np.empty(n, np.float64)
+    tried = np.empty(offsets.shape[0] + 1, np.int64)
+    # The queue: f in steps of the key, the g with which a cell was entered, and the cell.
     key = np.empty(1024, np.float64)
     cost = np.empty(1024, np.float64)
     node = np.empty(1024, np.int64)
-    at = np.empty(n, np.int64)
-    v = np.empty(n, np.int64)
-    ahead = np.empty(n, np.float64)
-    behind = np.empty(n, np.float64)
-    none = np.empty(0, np.float64)
-    nowhere = np.empty(0, np.int64)
-    room = np.empty(0, np.uint8)
-    tried = np.empty(moves + 1, np.int64)
     g[start] = 0.0
     parent[start] = start
     mark[start] = SEEN | SURE
-    key[0] = np.floor(between(view, start, goal, at, v) * scale + 0.5)
+    key[0] = np.floor(span(strides, basis, start, goal, at, v) * scale + 0.5)
     cost[0] = 0.0
     node[0] = start
     count = 1
-    expansions = 0
-    pushes = 1
-    looks = 0
-    scanned = 0
-    found = False
+    counts[PUSHES] = 1
     while count > 0:
         a = node[0]
-        d = cost[0]
+        entered = cost[0]
         count = drop_top(key, cost, node, count)
-        if d != g[a] or (mark[a] & DONE) != 0:
+        # Cells are entered again where they are reached anew; only the entry with the present g counts.
+        if entered != g[a] or (mark[a] & DONE) != 0:
             continue
-        if count + moves + 1 > key.shape[0]:
+        # An expansion enters each neighbour once at the most, so that room need not be asked for there.
+        if count + offsets.shape[0] + 1 > key.shape[0]:
             key = np.append(key, np.empty_like(key))
             cost = np.append(cost, np.empty_like(cost))
             node = np.append(node, np.empty_like(node))
         # Worth making once as many cells have been looked at as it takes.
-        if room.shape[0] == 0 and scanned > free.shape[0] >> 2:
-            room = rooms(view, free)
+        if cells.distances.shape[0] == 0 and counts[SCANNED] > free.shape[0] >> 2:
+            cells = Cells(free, block_distances(view, free), cells.terrain)
+
+        # Before a cell is expanded its parent must see it (SetVertex of the paper). With another parent g may have
+        # grown; then the cell waits for its turn in the queue.
         if (mark[a] & SURE) == 0:
-            before = np.int64(parent[a])
-            between(view, before, a, at, v)
-            seen = walk(view, free, room, at, v, none, 0.0, nowhere)
-            looks += 1
-            scanned += abs(seen)
             mark[a] |= SURE
-            if seen < 0:
-                best = np.inf
-                for k in range(moves):
-                    b = a - offsets[k]
-                    if (mark[b] & EXPANDED) == 0 or g[b] + lengths[k] >= best:
-                        continue
-                    if may_move(free, b, k, offsets, swept_starts, swept):
-                        best = g[b] + lengths[k]
-                        parent[a] = b
-                tried[0] = before
-                many = 1
-                for k in range(moves):
-                    b = a - offsets[k]
-                    if (mark[b] & EXPANDED) == 0:
-                        continue
-                    p = np.int64(parent[b])
-                    known = False
-                    for i in range(many):
-                        known = known or tried[i] == p
-                    if known:
-                        continue
-                    tried[many] = p
-                    many += 1
-                    reached = g[p] + between(view, p, a, at, v)
-                    if reached < best * _BETTER:
-                        seen = walk(view, free, room, at, v, none, 0.0, nowhere)
-                        looks += 1
-                        scanned += abs(seen)
-                        if seen > 0:
-                            best = reached
-                            parent[a] = p
-                g[a] = best
-                h = np.floor((best + between(view, a, goal, at, v)) * scale + 0.5)
-                if count > 0 and h > key[0]:
-                    rise(key, cost, node, count, h, best, a)
+            span(strides, basis, np.int64(parent[a]), a, at, v)
+            if not _counted(walk(view, cells, segment, 0.0), counts):
+                g[a] = _find_parent(view, cells, moves, tree, a, segment, tried, counts)
+                f = np.floor((g[a] + span(strides, basis, a, goal, at, v)) * scale + 0.5)
+                if count > 0 and f > key[0]:
+                    rise(key, cost, node, count, f, g[a], a)
                     count += 1
-                    pushes += 1
+                    counts[PUSHES] += 1
                     continue
         mark[a] |= DONE | EXPANDED
-        expansions += 1
+        counts[EXPANSIONS] += 1
         if a == goal:
-            found = True
-            break
+            return True
+
+        # A neighbour's distances from the parent and to the goal are those of a, a move further: no divisions.
         p = np.int64(parent[a])
-        base = g[p]
-        between(view, p, a, at, v)
-        for r in range(n):
-            behind[r] = 0.0
-            for c in range(n):
-                behind[r] += view.basis[r, c] * v[c]
-        between(view, a, goal, at, v)
-        for r in range(n):
-            ahead[r] = 0.0
-            for c in range(n):
-                ahead[r] += view.basis[r, c] * v[c]
-        d = g[a]
-        for k in range(moves):
+        before, here = g[p], g[a]
+        span(strides, basis, p, a, at, v)
+        _metres(basis, v, behind)
+        span(strides, basis, a, goal, at, v)
+        _metres(basis, v, ahead)
+        for k in range(offsets.shape[0]):
             b = a + offsets[k]
             if free[b] == 0 or b == p:
                 continue
+            # Path 2 of the paper: straight from the parent, as if it saw b.
             total = 0.0
             for r in range(n):
                 x = behind[r] + steps[k, r]
                 total += x * x
-            reached = base + np.sqrt(total)
+            reached = before + np.sqrt(total)
             old = mark[b]
             if old != 0 and reached >= g[b] * _BETTER:
                 continue
             if not may_move(free, a, k, offsets, swept_starts, swept):
                 continue
-            by = p
-            if not lazy or (old & SURE) != 0:
-                between(view, p, b, at, v)
-                seen = walk(view, free, room, at, v, none, 0.0, nowhere)
-                looks += 1
-                scanned += abs(seen)
-                if seen < 0:
-                    by = a
-                    reached = d + lengths[k]
+            parent_b = p
+            if lazy and (old & SURE) == 0:
+                mark[b] = SEEN
+            else:
+                # A g that a line is known to give is never replaced by one that is only hoped for.
+                span(strides, basis, p, b, at, v)
+                if not _counted(walk(view, cells, segment, 0.0), counts):
+                    parent_b = a  # path 1: by the move
+                    reached = here + lengths[k]
                     if old != 0 and reached >= g[b] * _BETTER:
                         continue
                 mark[b] = SEEN | SURE | (old & EXPANDED)
-            else:
-                mark[b] = SEEN
             g[b] = reached
-            parent[b] = by
+            parent[b] = parent_b
             total = 0.0
             for r in range(n):
                 x = ahead[r] - steps[k, r]
                 total += x * x
-            rise(key, cost, node, count, np.floor((reached + np.sqrt(total)) * scale + 0.5), reached, b)
+            f = np.floor((reached + np.sqrt(total)) * scale + 0.5)
+            rise(key, cost, node, count, f, reached, b)
             count += 1
-            pushes += 1
-    counts[0] = expansions
-    counts[1] = pushes
-    counts[2] = looks
-    counts[3] = scanned
-    return found
+            counts[PUSHES] += 1
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _metres(basis, v, out):
+    """Write the displacement ``v`` (n,) in metres along each axis."""
+    for r in range(v.shape[0]):
+        out[r] = 0.0
+        for c in range(v.shape[0]):
+            out[r] += basis[r, c] * v[c]
+
+
+@njit(cache=True, nogil=True)
+def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
+    """Give the cell ``a``, which its parent does not see, the best other one; return the g by it.
+
+    Candidates are the expanded neighbours, as in the paper, and, beyond it, their parents where they see
+    ``a``. ``tried`` (K + 1,) is scratch.
+    """
+    strides, basis = view.strides, view.basis
+    offsets, lengths, _, swept_starts, swept = moves
+    g, parent, mark = tree
+    at, v, _ = segment
+    before = np.int64(parent[a])
+    best = np.inf
+    # The neighbour from which a was reached has been expanded and may move here: one is always found.
+    for k in range(offsets.shape[0]):
+        b = a - offsets[k]
+        if (mark[b] & EXPANDED) == 0 or g[b] + lengths[k] >= best:
+            continue
+        if may_move(cells.free, b, k, offsets, swept_starts, swept):
+            best = g[b] + lengths[k]
+            parent[a] = b
+    # Neighbours share parents, and a look is dear: each parent is tried once, and only if it would be better.
+    tried[0] = before
+    many = 1
+    for k in range(offsets.shape[0]):
+        b = a - offsets[k]
+        if (mark[b] & EXPANDED) == 0:
+            continue
+        p = np.int64(parent[b])
+        known = False
+        for i in range(many):
+            known = known or tried[i] == p
+        if known:
+            continue
+        tried[many] = p
+        many += 1
+        reached = g[p] + span(strides, basis, p, a, at, v)
+        if reached < best * _BETTER and _counted(walk(view, cells, segment, 0.0), counts):
+            best = reached
+            parent[a] = p
+    return best
 
 
 @njit(cache=True, nogil=True)
@@ -486,35 +710,64 @@ def follow(parent, at):
     return out[:count][::-1].copy()
 
 
-@njit(cache=True, nogil=True)
-def _sees(view, free, a, b, at, v, counts):
-    """Tell whether the flat cell ``a`` sees ``b``; ``counts`` (4,) as of :func:`search`."""
-    nothing = np.empty(0, np.uint8)
-    none = np.empty(0, np.float64)
-    nowhere = np.empty(0, np.int64)
-    between(view, a, b, at, v)
-    seen = walk(view, free, nothing, at, v, none, 0.0, nowhere)
-    counts[2] += 1
-    counts[3] += abs(seen)
-    return seen > 0
+# ---------------------------------------------------------------------- taut paths
 
 
 @njit(cache=True, nogil=True)
-def _pull(view, free, way, window, at, v, counts):
-    """Return the shortest way through a subset of ``way`` (M,) that leaves out less than ``window`` cells in a row."""
-    m = way.shape[0]
+def tighten(view, free, path, near, rounds, window, counts):
+    """Return ``path`` (M,) made shorter: cells left out, moved to neighbours, and corners cut, until nothing helps.
+
+    Args:
+        view: the lattice and the window.
+        free: (size,) the graph's cells.
+        path: flat turning cells, each of which sees the next.
+        near: flat offsets of the cells that a turning cell may slide to.
+        rounds: at most.
+        window: cells left out in a row are fewer.
+        counts: as of :func:`search`; raised.
+    """
+    cells = plain_cells(free)
+    segment = empty_segment(view.strides.shape[0])
+    path = _pull(view, cells, path, window, segment, counts)
+    for _ in range(rounds):
+        if path.shape[0] < 3:
+            break
+        before = _length(view, path, segment)
+        path = _cut(view, cells, path, segment, counts)
+        _slide(view, cells, path, near, segment, counts)
+        path = _pull(view, cells, path, window, segment, counts)
+        if _length(view, path, segment) >= before * _BETTER:
+            break
+    return path
+
+
+@njit(cache=True, nogil=True)
+def _length(view, path, segment):
+    """Return the length of the straight lines along ``path`` (M,), metres."""
+    total = 0.0
+    for i in range(path.shape[0] - 1):
+        total += join(view, path[i], path[i + 1], segment)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _pull(view, cells, path, window, segment, counts):
+    """Return the shortest path through a subset of ``path`` (M,) that leaves out less than ``window`` in a row."""
+    m = path.shape[0]
     cost = np.empty(m, np.float64)
     last = np.empty(m, np.int64)
     cost[0] = 0.0
     last[0] = 0
+    # The least cost to each cell, in their order, over all cells from which it may be reached.
     for j in range(1, m):
-        cost[j] = cost[j - 1] + between(view, way[j - 1], way[j], at, v)
+        cost[j] = cost[j - 1] + join(view, path[j - 1], path[j], segment)
         last[j] = j - 1
         for i in range(max(j - window, 0), j - 1):
-            straight = cost[i] + between(view, way[i], way[j], at, v)
-            if straight < cost[j] * _BETTER and _sees(view, free, way[i], way[j], at, v, counts):
+            straight = cost[i] + join(view, path[i], path[j], segment)
+            if straight < cost[j] * _BETTER and _counted(walk(view, cells, segment, 0.0), counts):
                 cost[j] = straight
                 last[j] = i
+    # Back from the end, once to count and once to write.
     count = 1
     j = m - 1
     while j > 0:
@@ -523,150 +776,111 @@ def _pull(view, free, way, window, at, v, counts):
     out = np.empty(count, np.int64)
     j = m - 1
     for i in range(count - 1, -1, -1):
-        out[i] = way[j]
+        out[i] = path[j]
         j = last[j]
     return out
 
 
 @njit(cache=True, nogil=True)
-def _slide(view, free, way, near, at, v, counts):
-    """Move each inner cell of ``way`` (M,) by the flat offsets ``near`` (K,) as long as that shortens."""
-    for i in range(1, way.shape[0] - 1):
-        p = way[i - 1]
-        r = way[i + 1]
+def _slide(view, cells, path, near, segment, counts):
+    """Move each inner cell of ``path`` (M,) by the flat offsets ``near`` (K,) as long as that shortens."""
+    for i in range(1, path.shape[0] - 1):
+        p = path[i - 1]
+        r = path[i + 1]
         for _ in range(SLIDES):
-            q = way[i]
-            least = (between(view, p, q, at, v) + between(view, q, r, at, v)) * _BETTER
+            q = path[i]
+            least = (join(view, p, q, segment) + join(view, q, r, segment)) * _BETTER
             best = q
             for k in range(near.shape[0]):
                 b = q + near[k]
-                if free[b] == 0 or b in (p, r):
+                if cells.free[b] == 0 or b in (p, r):
                     continue
-                length = between(view, p, b, at, v) + between(view, b, r, at, v)
-                if length < least and _sees(view, free, p, b, at, v, counts) and _sees(view, free, b, r, at, v, counts):
+                length = join(view, p, b, segment) + join(view, b, r, segment)
+                # Lengths first: they cost less than looks.
+                if (
+                    length < least
+                    and _sees(view, cells, p, b, segment, counts)
+                    and _sees(view, cells, b, r, segment, counts)
+                ):
                     least = length
                     best = b
             if best == q:
                 break
-            way[i] = best
+            path[i] = best
 
 
 @njit(cache=True, nogil=True)
-def _part(view, a, b, share, at, v):
-    """Return the flat cell whose index is nearest to a ``share`` of the way from ``a`` to ``b``."""
-    between(view, a, b, at, v)
+def _cell_along(view, a, b, fraction, segment):
+    """Return the flat cell whose index is nearest to the point at a ``fraction`` of the line from ``a`` to ``b``."""
+    join(view, a, b, segment)
     cell = a
-    for i in range(v.shape[0]):
-        cell += np.int64(np.floor(share * v[i] + 0.5)) * view.strides[i]
+    for i in range(segment.v.shape[0]):
+        cell += np.int64(np.floor(fraction * segment.v[i] + 0.5)) * view.strides[i]
     return cell
 
 
 @njit(cache=True, nogil=True)
-def _cut(view, free, way, at, v, counts):
-    """Return ``way`` (M,) with its corners cut, by two cells on the legs for one, where that is free and shorter."""
-    out = np.empty(2 * way.shape[0], np.int64)
-    out[0] = way[0]
+def _cut(view, cells, path, segment, counts):
+    """Return ``path`` (M,) with its corners cut, by two cells on the legs for one, where that is free and shorter."""
+    out = np.empty(2 * path.shape[0], np.int64)
+    out[0] = path[0]
     count = 1
-    for i in range(1, way.shape[0] - 1):
-        p = out[count - 1]
-        q = way[i]
-        r = way[i + 1]
-        length = between(view, p, q, at, v) + between(view, q, r, at, v)
-        share = 0.5
-        done = False
-        while share > 0.01 and not done:
-            for variant in range(3):
-                x = q if variant == 2 else _part(view, q, p, share, at, v)
-                y = q if variant == 1 else _part(view, q, r, share, at, v)
-                if free[x] == 0 or free[y] == 0 or x in (y, p) or y == r:
-                    continue
-                new = between(view, p, x, at, v) + between(view, x, y, at, v) + between(view, y, r, at, v)
-                if new >= length * _BETTER:
-                    continue
-                if (
-                    _sees(view, free, x, y, at, v, counts)
-                    and _sees(view, free, p, x, at, v, counts)
-                    and _sees(view, free, y, r, at, v, counts)
-                ):
-                    out[count] = x
-                    out[count + 1] = y
-                    count += 2
-                    done = True
-                    break
-            share *= 0.5
-        if not done:
-            out[count] = q
+    for i in range(1, path.shape[0] - 1):
+        # From the last cell that was kept, so that a cut may begin where the one before it ended.
+        x, y = _cut_corner(view, cells, out[count - 1], path[i], path[i + 1], segment, counts)
+        out[count] = x
+        count += 1
+        if x != y:
+            out[count] = y
             count += 1
-    out[count] = way[way.shape[0] - 1]
+    out[count] = path[path.shape[0] - 1]
     return out[: count + 1].copy()
 
 
 @njit(cache=True, nogil=True)
-def tighten(view, free, way, near, rounds, window, counts):
-    """Return ``way`` (M,) made shorter: cells left out, moved to neighbours, and corners cut, until nothing helps.
+def _cut_corner(view, cells, p, q, r, segment, counts):
+    """Return the flat cells x and y for which p, x, y, r is shorter than p, q, r, and free; twice ``q`` if none are."""
+    length = join(view, p, q, segment) + join(view, q, r, segment)
+    fraction = 0.5
+    # Large cuts first: x on the leg before, y on the leg after, or one of them the corner itself.
+    while fraction > 0.01:
+        for variant in range(3):
+            x = q if variant == 2 else _cell_along(view, q, p, fraction, segment)
+            y = q if variant == 1 else _cell_along(view, q, r, fraction, segment)
+            if cells.free[x] == 0 or cells.free[y] == 0 or x in (y, p) or y == r:
+                continue
+            new = join(view, p, x, segment) + join(view, x, y, segment) + join(view, y, r, segment)
+            if new >= length * _BETTER:
+                continue
+            # The new leg is the likeliest to be blocked; the others are near lines that are free.
+            if (
+                _sees(view, cells, x, y, segment, counts)
+                and _sees(view, cells, p, x, segment, counts)
+                and _sees(view, cells, y, r, segment, counts)
+            ):
+                return x, y
+        fraction *= 0.5
+    return q, q
 
-    Args:
-        view: see :func:`walk`.
-        free: the graph's cells (size,).
-        way: flat turning cells, each of which sees the next.
-        near: flat offsets of the cells that a turning cell may slide to.
-        rounds: at most.
-        window: cells left out in a row are fewer.
-        counts: as of :func:`search`; raised.
-    """
-    n = view.strides.shape[0]
-    at = np.empty(n, np.int64)
-    v = np.empty(n, np.int64)
-    way = _pull(view, free, way, window, at, v, counts)
-    for _ in range(rounds):
-        if way.shape[0] < 3:
-            break
-        before = 0.0
-        for i in range(way.shape[0] - 1):
-            before += between(view, way[i], way[i + 1], at, v)
-        way = _cut(view, free, way, at, v, counts)
-        _slide(view, free, way, near, at, v, counts)
-        way = _pull(view, free, way, window, at, v, counts)
-        after = 0.0
-        for i in range(way.shape[0] - 1):
-            after += between(view, way[i], way[i + 1], at, v)
-        if after >= before * _BETTER:
-            break
-    return way
+
+# ---------------------------------------------------------------------- shortcuts of a path of moves
 
 
 @njit(cache=True, nogil=True)
-def touched(view, free, a, b):
-    """Return the flat cells that the segment between the flat cells ``a`` and ``b`` touches; it is free."""
-    n = view.strides.shape[0]
-    at = np.empty(n, np.int64)
-    v = np.empty(n, np.int64)
-    nothing = np.empty(0, np.uint8)
-    none = np.empty(0, np.float64)
-    between(view, a, b, at, v)
-    out = np.empty(abs(walk(view, free, nothing, at, v, none, 0.0, np.empty(0, np.int64))), np.int64)
-    walk(view, free, nothing, at, v, none, 0.0, out)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def farthest(view, free, terrain, way, so_far, first):
-    """Return the last cell of ``way`` (M,) up to which the cell ``first`` sees every one, and the length to it.
+def farthest(view, free, terrain, path, so_far, first):
+    """Return the last cell of ``path`` (M,) up to which the cell ``first`` sees every one, and the length to it.
 
     With terrain, (size,) or empty, it counts as seen only across its own kind, and a line only where it
-    costs no more than the way, whose cost up to each cell is ``so_far`` (M,).
+    costs no more than the path, whose cost up to each cell is ``so_far`` (M,).
     """
-    n = view.strides.shape[0]
-    at = np.empty(n, np.int64)
-    v = np.empty(n, np.int64)
-    nothing = np.empty(0, np.uint8)
-    nowhere = np.empty(0, np.int64)
-    alike = terrain[way[first]] if terrain.shape[0] > 0 else 1.0
+    cells = Cells(free, np.empty(0, np.uint8), terrain)
+    segment = empty_segment(view.strides.shape[0])
+    alike = terrain[path[first]] if terrain.shape[0] > 0 else 1.0
     best = first + 1
     best_cost = so_far[first + 1] - so_far[first]
-    for j in range(first + 2, way.shape[0]):
-        straight = between(view, way[first], way[j], at, v) * alike
-        if walk(view, free, nothing, at, v, terrain, alike, nowhere) < 0:
+    for j in range(first + 2, path.shape[0]):
+        straight = join(view, path[first], path[j], segment) * alike
+        if walk(view, cells, segment, alike) < 0:
             break
         if straight <= (so_far[j] - so_far[first]) * (1.0 + 1e-12):
             best = j

@@ -1,4 +1,4 @@
-"""The shortest path of a point through a map of square cells: the ruler that any-angle planners are held to.
+"""The shortest path of a point through a map of square cells: the baseline that any-angle planners are compared with.
 
 The free space is the union of the closed free cells; blocked cells, and all outside the map, are
 open obstacles. A path may therefore
@@ -29,15 +29,16 @@ import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError
-from planners.path import NoPath
+from planners.path import NoPath, not_connected
 
-_Array = NDArray[Any]
+if TYPE_CHECKING:
+    from planners.any_angle._optimum_kernels import PlaneMap, View
 
 __all__ = ["AnyAngleOptimum", "OptimalPath"]
 
@@ -84,6 +85,8 @@ class AnyAngleOptimum:
         nbytes: memory of the prepared map.
 
     Examples:
+        >>> import numpy as np
+        >>> from planners import AnyAngleOptimum
         >>> free = np.ones((3, 3), bool)
         >>> free[1, 0:2] = False
         >>> AnyAngleOptimum(free).path([0, 0], [2, 0]).points.tolist()
@@ -113,45 +116,48 @@ class AnyAngleOptimum:
         padded = np.zeros((array.shape[1] + 2, array.shape[0] + 2), np.uint8)
         padded[1:-1, 1:-1] = array.T
         self._labels: NDArray[np.int32] = label(padded)[0].astype(np.int32)
-        low, high, first, corners = kernels.tables(padded)
-        self._map: tuple[_Array, _Array, _Array, _Array, _Array] = (padded, low, high, first, corners)
+        self._map: PlaneMap = kernels.tables(padded)
+        corners = self._map.corners
         # The parts of the view that wait to be looked at lie in different pairs of touching runs.
-        self._parts = 2 * int((padded & (low == np.arange(low.shape[1]))).sum()) + 8
+        low = self._map.low
+        self._waiting = 2 * int((padded & (low == np.arange(low.shape[1]))).sum()) + 8
 
         def link(begin: int) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-            end = min(begin + _CHUNK, len(corners))
-            return kernels.link(*self._map, begin, end, *self._scratch())
+            return kernels.link(self._map, begin, min(begin + _CHUNK, len(corners)), self._view())
 
         with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-            parts = list(pool.map(link, range(0, len(corners), _CHUNK)))
-        base = np.cumsum([0] + [len(near) for _, near in parts])
-        self._ends = np.concatenate(
-            [np.empty((0, 2), np.int64)] + [e + b for (e, _), b in zip(parts, base, strict=False)]
-        )
-        self._near = np.concatenate([np.empty(0, np.int32)] + [near for _, near in parts])
-        self._endless = kernels.find_endless(corners, self._ends, self._near)
+            chunks = list(pool.map(link, range(0, len(corners), _CHUNK)))
+        base = np.cumsum([0] + [len(near) for _, near in chunks])
+        ends = np.concatenate([np.empty((0, 2), np.int64)] + [e + b for (e, _), b in zip(chunks, base, strict=False)])
+        near = np.concatenate([np.empty(0, np.int32)] + [near for _, near in chunks])
+        self._legs = kernels.Legs(ends, near, kernels.find_endless(corners, ends, near))
 
     @property
     def corners(self) -> int:
         """Number of convex corners of obstacles."""
-        return len(self._ends)
+        return len(self._map.corners)
 
     @property
     def legs(self) -> int:
         """Number of directed taut legs between corners."""
-        return len(self._near)
+        return len(self._legs.near)
 
     @property
     def nbytes(self) -> int:
         """Memory of the prepared map in bytes."""
-        return sum(a.nbytes for a in (*self._map, self._labels, self._ends, self._near, self._endless, self.free))
+        return sum(a.nbytes for a in (*self._map, self._labels, *self._legs, self.free))
 
     def __repr__(self) -> str:
         """Say how large it is."""
         return f"AnyAngleOptimum({self.free.shape[0]} x {self.free.shape[1]} cells, {self.corners} corners)"
 
-    def _scratch(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        return np.empty((self._parts, 4)), np.empty((self._parts, 2), np.int32)
+    def _view(self) -> View:
+        """Return scratch for a look around: each thread and each search has its own."""
+        from planners.any_angle import _optimum_kernels as kernels
+
+        return kernels.View(
+            np.empty((self._waiting, 4)), np.empty((self._waiting, 2), np.int32), np.empty(self.corners, np.int32)
+        )
 
     def _point(self, point: ArrayLike, role: str) -> tuple[NDArray[np.float64], tuple[float, float], set[int]]:
         """Return a point (2,), it in the kernels' coordinates, and the components that it touches."""
@@ -182,31 +188,22 @@ class AnyAngleOptimum:
 
         s, inner_s, at_start = self._point(start, "start")
         t, inner_t, at_goal = self._point(goal, "goal")
-        if not at_start & at_goal and not np.array_equal(s, t):
-            raise NoPath("not connected", f"nothing leads from {tuple(s.tolist())} to {tuple(t.tolist())}")
+        same = bool((s == t).all())
+        if not at_start & at_goal and not same:
+            raise not_connected(s, t)
         begin = time.perf_counter()
-        if np.array_equal(s, t):
+        if same:
             return OptimalPath(0.0, s[None].copy(), seconds=time.perf_counter() - begin)
         n = self.corners
-        turns = np.empty(n, np.int32)
-        count, expansions, pushes = kernels.search(
-            *self._map,
-            self._ends,
-            self._near,
-            self._endless,
-            *inner_s,
-            *inner_t,
-            *self._scratch(),
-            np.full(n, np.inf),
-            np.full(n, np.inf),
-            np.full(n, -1, np.int32),
-            turns,
-            np.zeros((n, 2), np.uint8),
-            np.empty(2 * n, np.int32),
-        )
+        view = self._view()
+        labels = kernels.Labels(
+            np.full(n, np.inf), np.full(n, np.inf), np.full(n, -1, np.int32),
+            np.zeros((n, 2), np.uint8), np.empty(2 * n, np.int32),
+        )  # fmt: skip
+        count, expansions, pushes = kernels.search(self._map, self._legs, *inner_s, *inner_t, view, labels)
         if count < 0:  # pragma: no cover - the components say otherwise
-            raise NoPath("not connected", f"nothing leads from {tuple(s.tolist())} to {tuple(t.tolist())}")
-        points = np.vstack([s, self._map[-1][turns[:count][::-1], :2] - _SHIFT, t])
+            raise not_connected(s, t)
+        points = np.vstack([s, self._map.corners[view.seen[:count][::-1], :2] - _SHIFT, t])
         # A start or goal at a corner may be named twice.
         points = points[np.append(True, (np.diff(points, axis=0) != 0.0).any(axis=1))]
         length = math.fsum(np.hypot(*np.diff(points, axis=0).T).tolist())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hexmap.base.errors import ArgumentError
-from planners.path import Path, _leg_costs, cells_to_flat, measure
+from planners.path import Path, cells_to_flat, leg_costs, measure
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
@@ -40,7 +40,7 @@ def shortcut(graph: LatticeGraph, path: Path) -> Path:
 
     view = make_view(graph)
     terrain = np.empty(0) if graph.terrain is None else graph.terrain
-    so_far = np.concatenate([[0.0], np.cumsum(_leg_costs(graph, flat))])
+    so_far = np.concatenate([[0.0], np.cumsum(leg_costs(graph, flat))])
     kept = [0]
     costs = []
     while kept[-1] < len(path) - 1:

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
-from planners.path import Path, _not_connected, cells_to_flat, make_path, measure
-from planners.search.sparse_arrays import blank
+from planners.path import Path, cells_to_flat, make_path, measure, not_connected
+from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
+    from planners.any_angle._kernels import View
 
 __all__ = ["any_angle", "line_of_sight"]
 
@@ -26,36 +27,6 @@ _KEY_STEPS = 2.0**32  # keys of the queue a shortest move
 _ROUNDS = 20  # of making a path taut; three or four are the rule
 _WINDOW = 8  # turning cells that a straight line may leave out, plus one
 _TOUCH = 2e-9  # of the cell's width: the tolerance of hexmap.graph.swept_cells
-
-
-class View(NamedTuple):
-    """What the line of sight needs to know of a lattice and a window, as plain arrays.
-
-    Attributes:
-        strides: (n,) int64 of the window.
-        shape: (n,) int64 cells along each index.
-        block_strides: (n,) int64 of the blocks of 4 cells a side.
-        basis: (n, n) float64, metres.
-        gram: (n, n) float64 of the basis.
-        generators: (E, n) float64, the edges of the cell, one of each direction, in index coordinates.
-        reach: (n,) float64, how far the cell reaches along each index.
-        least: less than the product, by ``gram``, of any cell between two ends with the way between these.
-        touch: the cell is taken larger by this part.
-        guard: whether cells touched by a line in the window may lie outside it.
-        work: (2, E) float64 scratch.
-    """
-
-    strides: NDArray[np.int64]
-    shape: NDArray[np.int64]
-    block_strides: NDArray[np.int64]
-    basis: NDArray[np.float64]
-    gram: NDArray[np.float64]
-    generators: NDArray[np.float64]
-    reach: NDArray[np.float64]
-    least: float
-    touch: float
-    guard: bool
-    work: NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
@@ -76,6 +47,8 @@ def _generators(lattice: Lattice) -> NDArray[np.float64]:
 
 def make_view(graph: LatticeGraph) -> View:
     """Return the tables of a graph."""
+    from planners.any_angle._kernels import View
+
     lattice = graph.lattice
     generators = _generators(lattice)
     reach = 0.5 * np.abs(generators).sum(axis=0)
@@ -116,8 +89,10 @@ def line_of_sight(graph: LatticeGraph, a: ArrayLike, b: ArrayLike) -> bool | NDA
         ArgumentError: not integers of that shape.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import line_of_sight
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.array([[1, 1, 1], [1, 0, 1]], np.uint8))
         >>> line_of_sight(graph, [0, 0], [[0, 2], [1, 0], [1, 2]]).tolist()
         [True, True, False]
@@ -181,8 +156,10 @@ def any_angle(
         ArgumentError: the graph has terrain, or an end is not one cell.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import any_angle
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((4, 5), np.uint8))
         >>> any_angle(graph, [0, 0], [3, 4]).length
         5.0
@@ -199,52 +176,56 @@ def any_angle(
     begin = time.perf_counter()
     if source[0] == target[0]:
         return make_path(graph, source, clearance=clearance, seconds=time.perf_counter() - begin)
-    labels = getattr(graph, "_labels", None)
+    labels = graph.known_components
     if labels is not None and labels[source[0]] != labels[target[0]]:
-        raise _not_connected(start, goal)
-    way, counts = search_way(graph, int(source[0]), int(target[0]), lazy=lazy, tighten=tighten)
-    if len(way) == 0:
-        raise _not_connected(start, goal)
+        raise not_connected(start, goal)
+    turning_cells, effort = search_path(graph, int(source[0]), int(target[0]), lazy=lazy, tighten=tighten)
+    if len(turning_cells) == 0:
+        raise not_connected(start, goal)
     seconds = time.perf_counter() - begin
-    cells = graph.flat_to_index(way)
+    cells = graph.flat_to_index(turning_cells)
     points = np.ascontiguousarray(graph.lattice.centres(cells), dtype=np.float64)
     length, turning = measure(points)
     least = None
     if clearance is not None:
-        along = [touched_cells(graph, a, b) for a, b in itertools.pairwise(way)]
+        along = [touched_cells(graph, a, b) for a, b in itertools.pairwise(turning_cells)]
         least = float(np.asarray(clearance).reshape(-1)[np.concatenate(along)].min())
-    expansions, pushes, _, scanned = (int(c) for c in counts)
     bound = max(length / float(np.linalg.norm(points[-1] - points[0])), 1.0)
-    return Path(cells, points, length, length, turning, least, expansions, pushes, scanned, seconds, bound)
+    return Path(
+        cells, points, length, length, turning, least,
+        effort.expansions, effort.pushes, effort.scanned, seconds, bound,
+    )  # fmt: skip
 
 
-def search_way(
+class Effort(NamedTuple):
+    """What a search took: expansions, entries made in the queue, lines looked along, cells looked at on them."""
+
+    expansions: int
+    pushes: int
+    lines: int
+    scanned: int
+
+
+def search_path(
     graph: LatticeGraph, source: int, target: int, *, lazy: bool = True, tighten: bool = True
-) -> tuple[IntArray, IntArray]:
-    """Return the flat turning cells (M,), none without a path, and the counts.
-
-    The counts (4,) are expansions, pushes, lines of sight and cells looked at on them.
-    """
+) -> tuple[IntArray, Effort]:
+    """Return the flat turning cells (M,) from ``source`` to ``target``, none without a path, and what it took."""
     from planners.any_angle import _kernels as kernels
 
     view = make_view(graph)
-    counts = np.zeros(4, np.int64)
-    # Pages that a short search does not touch cost nothing.
-    g, parent = blank(graph.size, np.float64), blank(graph.size, np.int32)
-    mark = blank(graph.size, np.uint8)
     steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
+    moves = kernels.Moves(graph.offsets, graph.lengths, steps, graph.swept_starts, graph.swept)
+    # Pages that a short search does not touch cost nothing.
+    tree = kernels.Tree(*(sparse_zeros(graph.size, kind) for kind in (np.float64, np.int32, np.uint8)))
+    counts = np.zeros(len(Effort._fields), np.int64)
     scale = _KEY_STEPS / float(graph.lengths.min())
-    found = kernels.search(
-        view, graph.free, graph.offsets, graph.lengths, steps, graph.swept_starts, graph.swept,
-        source, target, scale, lazy, g, parent, mark, counts,
-    )  # fmt: skip
-    if not found:
-        return np.empty(0, np.int64), counts
-    way = kernels.follow(parent, target)
-    if tighten:
-        near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
-        way = kernels.tighten(view, graph.free, way, near, _ROUNDS, _WINDOW, counts)
-    return way, counts
+    path = np.empty(0, np.int64)
+    if kernels.search(view, graph.free, moves, source, target, scale, lazy, tree, counts):
+        path = kernels.follow(tree.parent, target)
+        if tighten:
+            near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
+            path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
+    return path, Effort(*counts.tolist())
 
 
 def touched_cells(graph: LatticeGraph, a: int, b: int) -> IntArray:

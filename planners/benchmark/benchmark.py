@@ -22,7 +22,7 @@ def planning_benchmark(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Run the benchmark on maps and return its report, and whether the ruler is straight.
+    """Run the benchmark on maps and return its report, and whether the baseline check passed.
 
     Args:
         maps: files that :func:`hexmap.io.grids.open_grid` reads, with their problems beside them.

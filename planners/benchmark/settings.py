@@ -55,7 +55,7 @@ class BenchmarkSettings:
     """What the benchmark does.
 
     Attributes:
-        queries: a map; drawn from its problems, or all of them if it has fewer.
+        queries: per map; drawn from its problems, or all of them if it has fewer.
         angles: degrees by which the maps are turned.
         fractions: 2 for grids whose resolution is a half of the source cell's edge, and so on.
         max_cells: of a window; what would be larger is left out, and said.
@@ -77,7 +77,7 @@ class BenchmarkSettings:
     def __post_init__(self) -> None:
         """Check the numbers."""
         if self.queries < LEAST_QUERIES:
-            raise ArgumentError(f"an interval needs {LEAST_QUERIES} queries a map at the least, not {self.queries}")
+            raise ArgumentError(f"an interval needs at least {LEAST_QUERIES} queries per map, not {self.queries}")
         if not self.angles or not all(math.isfinite(a) for a in self.angles):
             raise ArgumentError(f"angles must be numbers of degrees, not {self.angles}")
         if len(set(self.angles)) < len(self.angles):
@@ -104,7 +104,7 @@ class BenchmarkSettings:
 LEAST_QUERIES = 8  # an interval over fewer says nothing
 
 
-MOST_DROPPED = 0.02  # part of the queries; more says that the grids are too coarse for the map
+MOST_DROPPED = 0.02  # of the queries; more says that the grids are too coarse for the map
 
 
 def settings_table(settings: BenchmarkSettings) -> dict[str, Any]:

@@ -1,16 +1,14 @@
-"""Numba kernels of the canonical search, over padded flat arrays with constant offsets.
+"""Numba kernels of the canonical search, over arrays like those of the other searches but without terrain.
 
-``world`` is (free, offsets, swept_starts, swept) of a graph; ``rules`` is (natural, level,
-guard_starts, guards, pair_starts, seconds, way_starts, cell_starts, cells) of
-:class:`planners.search.canonical_order.Ordering`, with cells as flat offsets from the middle of a pair.
-Directions are sets of bits; the bit K marks the start, which every move may follow. No kernel
-checks a bound: from a free cell no offset leaves the array, and what an alternative sweeps is
-looked at only once its middle is known to be free.
+Directions are sets of bits; the bit K marks the start, which every move may follow. What an
+alternative sweeps is looked at only once its middle is known to be free, so that no index leaves the array.
 """
 
 # mypy: ignore-errors
 # Numba gives the kernels their types.
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -18,13 +16,85 @@ from numba import njit
 from planners.search._shared_kernels import drop_top, may_move, rise
 
 OVERFLOW = -2
+CLEARLY_LESS = 1.0 - 1e-13  # times a cost: an improvement by less is a rounding error
 _MOST = 2.0**50  # sums up to this are exact in float64, eighths for breaking ties included
 
 
+class Passable(NamedTuple):
+    """What says whether a move is allowed: four of GraphArrays, for the fewer arrays a call takes the quicker it is."""
+
+    free: np.ndarray
+    offsets: np.ndarray
+    swept_starts: np.ndarray
+    swept: np.ndarray
+
+
+class Pairs(NamedTuple):
+    """The pairs of moves that can be forced, all int64: see :class:`planners.search.canonical_order.Ordering`.
+
+    Guards and cells are flat offsets from the middle of a pair.
+    """
+
+    guard_starts: np.ndarray
+    guards: np.ndarray
+    pair_starts: np.ndarray
+    seconds: np.ndarray
+    alternative_starts: np.ndarray
+    cell_starts: np.ndarray
+    cells: np.ndarray
+
+
+class Rules(NamedTuple):
+    """An :class:`planners.search.canonical_order.Ordering` as the kernels take it.
+
+    Attributes:
+        natural: (K + 1,) int64.
+        level: (K,) int64.
+        pairs: Pairs.
+    """
+
+    natural: np.ndarray
+    level: np.ndarray
+    pairs: Pairs
+
+
+class Estimates(NamedTuple):
+    """The gauge of the offset from the goal, see :mod:`planners.search.heuristics`.
+
+    Attributes:
+        planes: (F, n) facets of the gauge, one of each opposite pair; (0, n) for no heuristic.
+        steps: (K + 1, F) products of the moves with the planes, the last row zero.
+        target: (n,) int64 goal in window coordinates.
+        strides: (n,) int64 of the window.
+        inverse_strides: (n,) float64.
+    """
+
+    planes: np.ndarray
+    steps: np.ndarray
+    target: np.ndarray
+    strides: np.ndarray
+    inverse_strides: np.ndarray
+
+
+class Reached(NamedTuple):
+    """How each cell was reached.
+
+    Attributes:
+        known: (size,) uint8 zeros; 1 where a cell was reached, and its record written.
+        records: (size,) g; seen, the bits of the moves by which the cell was reached at that
+            cost; waiting, those of them that have not been followed on yet.
+    """
+
+    known: np.ndarray
+    records: np.ndarray
+
+
+# ---------------------------------------------------------------------- which moves may follow
+
+
 @njit(cache=True, nogil=True)
-def _is_guarded(free, at, d, rules):
+def _is_guarded(free, at, d, guard_starts, guards):
     """Tell whether no pair (d, e) over the cell ``at`` can be forced, as all guards of ``d`` are free."""
-    _, _, guard_starts, guards, _, _, _, _, _ = rules
     for i in range(guard_starts[d], guard_starts[d + 1]):  # noqa: SIM110 - a generator is none of Numba's
         if free[at + guards[i]] == 0:
             return False
@@ -32,17 +102,18 @@ def _is_guarded(free, at, d, rules):
 
 
 @njit(cache=True, nogil=True)
-def _forced(world, at, d, rules, known, any_will_do):
+def _forced(passable, at, d, pairs, known, any_will_do):
     """Return the bits of the moves that are forced after ``d`` over the cell ``at``, without those ``known``."""
-    free, offsets, swept_starts, swept = world
-    _, _, _, _, pair_starts, seconds, way_starts, cell_starts, cells = rules
+    free, offsets, swept_starts, swept = passable
+    _, _, pair_starts, seconds, alternative_starts, cell_starts, cells = pairs
     found = np.int64(0)
     for i in range(pair_starts[d], pair_starts[d + 1]):
         e = seconds[i]
         if (known >> e) & 1 or not may_move(free, at, e, offsets, swept_starts, swept):
             continue
+        # Forced where each of its alternatives has a blocked cell.
         blocked = True
-        for w in range(way_starts[i], way_starts[i + 1]):
+        for w in range(alternative_starts[i], alternative_starts[i + 1]):
             clear = True
             for c in range(cell_starts[w], cell_starts[w + 1]):
                 if free[at + cells[c]] == 0:
@@ -59,15 +130,15 @@ def _forced(world, at, d, rules, known, any_will_do):
 
 
 @njit(cache=True, nogil=True)
-def _line(world, at, d, goal, rules, longest):
+def _line(passable, at, d, goal, pairs, longest):
     """Return how many steps along ``d`` the next jump point is, or 0; and the steps looked at.
 
     For moves that they themselves alone follow naturally: a jump point is the goal, or where a move
     is forced. A line that is ``longest`` steps long ends there all the same.
     """
     # Taken apart once: each use of a tuple of arrays counts references.
-    free, offsets, swept_starts, swept = world
-    _, _, guard_starts, guards, _, _, _, _, _ = rules
+    free, offsets, swept_starts, swept = passable
+    guard_starts, guards, _, _, _, _, _ = pairs
     step = offsets[d]
     swept_from = swept_starts[d]
     swept_to = swept_starts[d + 1]
@@ -86,65 +157,87 @@ def _line(world, at, d, goal, rules, longest):
         n += 1
         if n == longest or at == goal:
             return n, n
+        # Nothing can be forced while the guards are free: in the open the pairs are not looked at.
         for i in range(guards_from, guards_to):
             if free[at + guards[i]] == 0:
                 clear = False
                 break
-        if not clear and _forced(world, at, d, rules, np.int64(0), True) != 0:
+        if not clear and _forced(passable, at, d, pairs, np.int64(0), True) != 0:
             return n, n
     return 0, n
 
 
+# ---------------------------------------------------------------------- the heuristic
+
+
 @njit(cache=True, nogil=True)
 def _measure(cell, target, planes, strides, inverse_strides, base):
-    """Write the product of each plane with the way from ``target`` (n,) to the cell into ``base`` (F,)."""
+    """Write the product of each plane with the offset of the cell from ``target`` (n,) into ``base`` (F,)."""
     rest = cell
     base[:] = 0.0
     for i in range(strides.shape[0]):
         # Exact, as half a cell is far more than the error of a product below 2^31; a division takes longer.
         x = np.int64((float(rest) + 0.5) * inverse_strides[i])
         rest -= x * strides[i]
-        way = float(x - target[i])
+        offset = float(x - target[i])
         for f in range(base.shape[0]):
-            base[f] += planes[f, i] * way
+            base[f] += planes[f, i] * offset
 
 
 @njit(cache=True, nogil=True)
-def _estimate(base, rises, e, steps):
-    """Return the gauge of the way after ``steps`` moves ``e``."""
+def _estimate(base, heuristic_steps, e, steps):
+    """Return the gauge after ``steps`` moves ``e`` from the cell that ``base`` (F,) was measured at."""
     most = 0.0
     for f in range(base.shape[0]):
-        most = max(most, abs(base[f] + steps * rises[e, f]))
+        most = max(most, abs(base[f] + steps * heuristic_steps[e, f]))
     return most
 
 
+# ---------------------------------------------------------------------- the search
+
+
 @njit(cache=True, nogil=True)
-def search(world, rules, lengths, strides, planes, rises, target, start, goal, scale, longest, known, cells):
+def _keep_better(key, cost, node, count, best, records, estimates, base):
+    """Keep only the entries whose cells are current and could lead to less than ``best``; return how many."""
+    planes, heuristic_steps, target, strides, inverse_strides = estimates
+    moves = heuristic_steps.shape[0] - 1
+    kept = 0
+    for i in range(count):
+        a = node[i]
+        d = records[a]["g"]
+        if np.floor(cost[i]) == d:
+            _measure(a, target, planes, strides, inverse_strides, base)
+            if d + _estimate(base, heuristic_steps, moves, 0) < best * CLEARLY_LESS:
+                rise(key, cost, node, kept, key[i], cost[i], a)
+                kept += 1
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def search(passable, lengths, rules, estimates, start, goal, scale, longest, reached_cells):
     """Search from ``start`` to ``goal`` by A* over canonical moves, along lines to the next jump point.
 
     Args:
-        world: see the head of this file.
-        rules: likewise.
+        passable: Passable.
         lengths: (K,) of the moves, integers in float64.
-        strides: (n,) of the window.
-        planes: (F, n) facets of the gauge, one of each opposite pair; (0, n) for no heuristic.
-        rises: (K + 1, F) products of the moves with the planes, the last row zero.
-        target: (n,) goal in window coordinates.
+        rules: Rules.
+        estimates: Estimates.
         start: flat cell.
         goal: flat cell other than the start, or -1 to search everything.
         scale: keys a unit of length.
         longest: steps along a line; 1 for a search that does not jump.
-        known: (size,) uint8 zeros; 1 where a cell was reached, and its record written.
-        cells: (size,) records: g; seen, the bits of the moves by which the cell was reached at that
-            cost; waiting, those of them that have not been followed on yet.
+        reached_cells: Reached.
 
     Returns:
         (cost or infinity or OVERFLOW, expansions, pushes, scanned, edges tried).
     """
-    free, offsets, swept_starts, swept = world
-    natural, level, _, _, _, _, _, _, _ = rules
+    # Taken apart once: each use of a tuple of arrays counts references.
+    free, offsets, swept_starts, swept = passable
+    natural, level, pairs = rules
+    guard_starts, guards, _, _, _, _, _ = pairs
+    planes, heuristic_steps, target, strides, inverse_strides = estimates
+    known, records = reached_cells
     moves = offsets.shape[0]
-    inverse_strides = 1.0 / strides
     one = np.int64(1)
     key = np.empty(1024, np.float64)
     cost = np.empty(1024, np.float64)
@@ -156,54 +249,47 @@ def search(world, rules, lengths, strides, planes, rises, target, start, goal, s
     scanned = 0
     tried = 0
     filtered = False
-    below = 1.0 - 1e-13
+    # The start, from which all moves are natural.
     known[start] = 1
-    cells[start]["g"] = 0.0
-    cells[start]["seen"] = one << moves
-    cells[start]["waiting"] = one << moves
+    records[start]["g"] = 0.0
+    records[start]["seen"] = one << moves
+    records[start]["waiting"] = one << moves
     _measure(start, target, planes, strides, inverse_strides, base)
-    key[0] = np.floor(_estimate(base, rises, moves, 0) * scale + 0.5)
+    key[0] = np.floor(_estimate(base, heuristic_steps, moves, 0) * scale + 0.5)
     cost[0] = 0.0
     node[0] = start
     count = 1
     pushes = 1
     while count > 0:
+        # The goal comes first among its equals; what could still be better hides behind equal keys.
         if key[0] >= best_key and not filtered:
-            # The goal comes first among its equals. Keep only what could still be better than it.
-            kept = 0
-            for i in range(count):
-                a = node[i]
-                d = cells[a]["g"]
-                if np.floor(cost[i]) == d:
-                    _measure(a, target, planes, strides, inverse_strides, base)
-                    if d + _estimate(base, rises, moves, 0) < best * below:
-                        rise(key, cost, node, kept, key[i], cost[i], a)
-                        kept += 1
-            count = kept
+            count = _keep_better(key, cost, node, count, best, records, estimates, base)
             filtered = True
             continue
+        # The least entry is expanded for the arrivals that have not been followed on yet.
         a = node[0]
-        d = np.floor(cost[0])
+        d = np.floor(cost[0])  # without the eighths that break ties
         count = drop_top(key, cost, node, count)
-        arrivals = np.int64(cells[a]["waiting"])
-        if d != cells[a]["g"] or arrivals == 0:
+        arrivals = np.int64(records[a]["waiting"])
+        if d != records[a]["g"] or arrivals == 0:
             continue
-        cells[a]["waiting"] = 0
+        records[a]["waiting"] = 0
         _measure(a, target, planes, strides, inverse_strides, base)
-        if best < np.inf and d + _estimate(base, rises, moves, 0) >= best * below:
+        if best < np.inf and d + _estimate(base, heuristic_steps, moves, 0) >= best * CLEARLY_LESS:
             continue
         expansions += 1
         if count + moves > key.shape[0]:
             key = np.append(key, np.empty_like(key))
             cost = np.append(cost, np.empty_like(cost))
             node = np.append(node, np.empty_like(node))
+        # What may follow these arrivals, naturally or forced. Not a function: its call would cost a third of the time.
         following = np.int64(0)
         for k in range(moves + 1):
             if (arrivals >> k) & 1:
                 following |= natural[k]
         for k in range(moves):
-            if (arrivals >> k) & 1 and not _is_guarded(free, a, k, rules):
-                following |= _forced(world, a, k, rules, following, False)
+            if (arrivals >> k) & 1 and not _is_guarded(free, a, k, guard_starts, guards):
+                following |= _forced(passable, a, k, pairs, following, False)
         for e in range(moves):
             if (following >> e) & 1 == 0:
                 continue
@@ -213,26 +299,28 @@ def search(world, rules, lengths, strides, planes, rises, target, start, goal, s
                 continue
             steps = 1
             reached = d + lengths[e]
-            ahead = _estimate(base, rises, e, 1)
-            if reached + ahead >= best * below:
+            ahead = _estimate(base, heuristic_steps, e, 1)
+            if reached + ahead >= best * CLEARLY_LESS:
                 continue
+            # One step, or along a line where the move is followed by itself alone.
             if longest == 1 or level[e] > 0:
-                if known[b] != 0 and cells[b]["g"] < reached:
+                if known[b] != 0 and records[b]["g"] < reached:
                     continue
                 if not may_move(free, a, e, offsets, swept_starts, swept):
                     continue
             else:
-                steps, looked = _line(world, a, e, goal, rules, longest)
+                steps, looked = _line(passable, a, e, goal, pairs, longest)
                 scanned += looked
                 if steps == 0:
                     continue
                 b = a + steps * offsets[e]
                 reached = d + steps * lengths[e]
-                ahead = _estimate(base, rises, e, steps)
-                if reached + ahead >= best * below:
+                ahead = _estimate(base, heuristic_steps, e, steps)
+                if reached + ahead >= best * CLEARLY_LESS:
                     continue
-            to = cells[b]
+            to = records[b]
             if known[b] != 0 and reached >= to["g"]:
+                # At the same cost by another move: a further arrival, followed on if anything new can follow it.
                 seen = np.int64(to["seen"])
                 if reached > to["g"] or (seen >> e) & 1 or b == goal:
                     continue
@@ -246,11 +334,12 @@ def search(world, rules, lengths, strides, planes, rises, target, start, goal, s
                     if (seen >> k) & 1:
                         covered |= natural[k]
                 if natural[e] & ~covered == 0 and (
-                    _is_guarded(free, b, e, rules) or _forced(world, b, e, rules, covered, True) == 0
+                    _is_guarded(free, b, e, guard_starts, guards) or _forced(passable, b, e, pairs, covered, True) == 0
                 ):
-                    continue  # nothing follows that has not been followed on from other arrivals
+                    continue
                 to["waiting"] = one << e
             else:
+                # For the first time, or at less cost: earlier arrivals count no more.
                 if reached > _MOST:
                     return OVERFLOW, expansions, pushes, scanned, tried
                 known[b] = 1
@@ -269,17 +358,19 @@ def search(world, rules, lengths, strides, planes, rises, target, start, goal, s
 
 
 @njit(cache=True, nogil=True)
-def follow(offsets, lengths, start, goal, known, cells):
+def follow(offsets, lengths, start, goal, reached_cells):
     """Return the flat cells from ``goal`` back to ``start``, those that lines went over filled in."""
+    known, records = reached_cells
     out = np.empty(64, np.int64)
     out[0] = goal
     count = 1
     at = goal
     while at != start:
+        # The lowest move by which the cell was reached.
         e = 0
-        while (np.int64(cells[at]["seen"]) >> e) & 1 == 0:
+        while (np.int64(records[at]["seen"]) >> e) & 1 == 0:
             e += 1
-        left = cells[at]["g"]
+        left = records[at]["g"]
         while True:
             at -= offsets[e]
             left -= lengths[e]
@@ -288,6 +379,6 @@ def follow(offsets, lengths, start, goal, known, cells):
             out[count] = at
             count += 1
             # Any cell of the line that was reached at no more than this; that where it began, at the latest.
-            if known[at] != 0 and cells[at]["g"] <= left:
+            if known[at] != 0 and records[at]["g"] <= left:
                 break
     return out[:count].copy()

@@ -1,30 +1,33 @@
-"""A* between cells of a lattice graph, with a heuristic derived from its moves; many queries at once."""
+"""A* between cells of a lattice graph, with a heuristic derived from its moves."""
 
 from __future__ import annotations
 
 import math
 import time
 from dataclasses import replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
-from planners.path import NoPath, Path, _not_connected, cells_to_flat, make_path
+from planners.path import NoPath, Path, cells_to_flat, make_path, not_connected
 from planners.search.heuristics import gauge_planes, least_terrain
 from planners.search.nearest import nearest_reachable
-from planners.search.sparse_arrays import blank
+from planners.search.pruning import onward_moves
+from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
+    from planners.search._astar_kernels import Heuristic, OpenList, Scratch
+    from planners.search._shared_kernels import GraphArrays
 
 __all__ = ["astar"]
 
 _MOST_WEIGHT = 1e6  # more is greedy search, and would overflow the queue's keys
 _KEY_STEPS = 2.0**32  # keys of the queue a cheapest move
-# Lengths are rounded to this part of the shortest, so that sums of up to 2^17 of them have no
+# Lengths are rounded to this fraction of the shortest, so that sums of up to 2^17 of them have no
 # rounding error: without that the order of a sum decides ties, and opens cells again by the thousand.
 _LENGTH_STEPS = 2.0**36
 _SLACK = 1.0 - 1e-13  # the same for terrain, whose costs are what they are
@@ -32,7 +35,6 @@ _MOST_MOVES = 126  # they share a byte with the goals' mark
 _MOST_TARGETS = 16  # goals beyond this cost more to measure than the heuristic saves
 _BUCKETS_A_MOVE = 16.0  # of the queue, to the cheapest move: few cells are sorted at a time
 _FIRST_QUEUE = 1024  # entries that fit at first
-_MOST_ONWARD = 64  # moves of which every pair is looked at
 _MOST_BUCKETS = 1 << 16  # where terrain or moves differ by more they are wider
 
 
@@ -72,24 +74,15 @@ def astar(
         ArgumentError: an option is out of its range.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import astar
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((3, 5), np.uint8))
         >>> astar(graph, [0, 0], [2, 4]).cost
         6.0
     """
-    if not 1.0 <= weight <= _MOST_WEIGHT:
-        raise ArgumentError(f"the weight of the heuristic must be a number from 1 to {_MOST_WEIGHT:g}, not {weight!r}")
-    if heuristic not in (None, "none"):
-        raise ArgumentError(f"heuristic must be None (derived from the moves) or 'none', not {heuristic!r}")
-    if bidirectional and weight != 1.0:
-        raise ArgumentError("a search from both ends takes no weight")
-    if len(graph.moves) > _MOST_MOVES:
-        raise ArgumentError(f"A* takes at most {_MOST_MOVES} moves, not {len(graph.moves)}")
-    if np.ndim(start) != 1:
-        raise ArgumentError(f"A* starts in one cell ({graph.lattice.dim},), not {np.shape(start)}")
-    if nearest and np.ndim(goal) != 1:
-        raise ArgumentError(f"only one goal has a nearest reachable cell, not {np.shape(goal)}")
+    _check(graph, start, goal, weight, heuristic, bidirectional, nearest)
     source = cells_to_flat(graph, start, "start")
     if nearest:
         cell = _replaced(graph, start, goal)
@@ -102,194 +95,253 @@ def astar(
     begin = time.perf_counter()
     if (goals == source[0]).any():
         return make_path(graph, source, clearance=clearance, seconds=time.perf_counter() - begin)
-    # Answered at once where somebody has looked for the components already.
-    labels = getattr(graph, "_labels", None)
+    # Answered at once where the components are known already.
+    labels = graph.known_components
     if labels is not None and not (labels[goals] == labels[source[0]]).any():
-        raise _not_connected(start, goal)
-    from planners.search import _astar_kernels as kernels
+        raise not_connected(start, goal)
+    query = _prepare(graph, source, goals, heuristic)
+    found = _search_from_both_ends(query) if bidirectional else _search(query, weight)
+    if found is None:
+        raise not_connected(start, goal)
+    seconds = time.perf_counter() - begin
+    return make_path(
+        graph,
+        found.flat,
+        clearance=clearance,
+        expansions=found.expansions,
+        pushes=found.pushes,
+        seconds=seconds,
+        bound=found.bound,
+    )
 
-    lengths = graph.lengths
+
+def _check(
+    graph: LatticeGraph,
+    start: ArrayLike,
+    goal: ArrayLike,
+    weight: float,
+    heuristic: str | None,
+    bidirectional: bool,
+    nearest: bool,
+) -> None:
+    """Raise ArgumentError for what :func:`astar` does not take."""
+    if not 1.0 <= weight <= _MOST_WEIGHT:
+        raise ArgumentError(f"the weight of the heuristic must be a number from 1 to {_MOST_WEIGHT:g}, not {weight!r}")
+    if heuristic not in (None, "none"):
+        raise ArgumentError(f"heuristic must be None (derived from the moves) or 'none', not {heuristic!r}")
+    if bidirectional and weight != 1.0:
+        raise ArgumentError("a search from both ends takes no weight")
+    if len(graph.moves) > _MOST_MOVES:
+        raise ArgumentError(f"A* takes at most {_MOST_MOVES} moves, not {len(graph.moves)}")
+    if np.ndim(start) != 1:
+        raise ArgumentError(f"A* starts in one cell ({graph.lattice.dim},), not {np.shape(start)}")
+    if nearest and np.ndim(goal) != 1:
+        raise ArgumentError(f"only one goal has a nearest reachable cell, not {np.shape(goal)}")
+
+
+# ---------------------------------------------------------------------- prepare
+
+
+class _Query(NamedTuple):
+    """A query, prepared for the kernels of one search or the other.
+
+    Attributes:
+        graph: where to go.
+        arrays: GraphArrays, the lengths rounded so that their sums are exact.
+        planes: (F, n) facets of the gauge times the least terrain; (0, n) for no heuristic.
+        start: flat cell.
+        goals: (M,) flat cells.
+        origin: (1, n) the start in window coordinates.
+        targets: (M, n) the goals in window coordinates, a single one without a heuristic.
+        scale: keys of the queue a metre.
+        slack: see :class:`planners.search._astar_kernels.Tuning`.
+    """
+
+    graph: LatticeGraph
+    arrays: GraphArrays
+    planes: FloatArray
+    start: int
+    goals: IntArray
+    origin: IntArray
+    targets: IntArray
+    scale: float
+    slack: float
+
+
+class _Found(NamedTuple):
+    """The flat cells (M,) of a path, what finding it took, and its cost over the least at most."""
+
+    flat: IntArray
+    expansions: int
+    pushes: int
+    bound: float
+
+
+def _prepare(graph: LatticeGraph, source: IntArray, goals: IntArray, heuristic: str | None) -> _Query:
+    from planners.search import _shared_kernels as kernels
+
+    lengths, slack = graph.lengths, _SLACK
     if graph.terrain is None:
         unit = 2.0 ** np.floor(np.log2(lengths.min() / _LENGTH_STEPS))
-        lengths = np.round(lengths / unit) * unit
-    slack = 1.0 if graph.terrain is None else _SLACK
+        lengths, slack = np.round(lengths / unit) * unit, 1.0
     cheapest = least_terrain(graph)
     planes = gauge_planes(graph.moves, lengths) * cheapest
     if heuristic == "none" or len(goals) > _MOST_TARGETS:
         planes = planes[:0]
-    n = graph.lattice.dim
-    places = [np.ascontiguousarray(graph.flat_to_index(f) - graph.low, dtype=np.int64) for f in (source, goals)]
+    positions = _positions(graph, np.concatenate([source, goals]))
     # Without a heuristic one target is as good as many.
-    targets = places[1] if len(planes) else np.zeros((1, n), np.int64)
-    terrain = np.empty(0) if graph.terrain is None else graph.terrain
-    arrays = (graph.free, graph.offsets, lengths, graph.swept_starts, graph.swept, terrain, graph.strides)
-    scale = _KEY_STEPS / (float(graph.lengths.min()) * cheapest)
-    g, via = blank(graph.size, np.float64), blank(graph.size, np.uint8)
-    bound = 1.0
-    if bidirectional:
-        rises = np.zeros((len(graph.moves) + 1, len(planes)))
-        rises[:-1] = graph.moves @ planes.T
-        g_back, via_back = blank(graph.size, np.float64), blank(graph.size, np.uint8)
-        meeting, expansions, pushes, _ = kernels.search_both(
-            *arrays, planes, rises, places[0], targets, source[0], goals, scale, slack, g, via, g_back, via_back
-        )
-        if meeting < 0:
-            raise _not_connected(start, goal)
-        ahead = kernels.follow(via, graph.offsets, meeting, -1)[::-1]
-        flat = np.concatenate([ahead, kernels.follow(via_back, graph.offsets, meeting, 1)[1:]])
-    else:
-        via[goals] = kernels.GOAL
-        padded = np.zeros((n, -(-len(planes) // 4) * 4))
-        padded[:, : len(planes)] = planes.T
-        # f rises by a move's cost and by as much of the heuristic, at most.
-        dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(terrain.max()))
-        span = dearest * (1.0 + weight) * scale
-        width = max(_KEY_STEPS / _BUCKETS_A_MOVE, span / _MOST_BUCKETS)
-        slots = 1 << math.ceil(math.log2(span / width + 3.0))
-        queue = (weight, scale, slack, width, slots)
-        found, expansions, pushes, lower = _search(
-            arrays, padded, targets, _onward_moves(graph), int(source[0]), *queue, graph.moves, g, via
-        )
-        if found < 0:
-            raise _not_connected(start, goal)
-        flat = np.ascontiguousarray(kernels.follow(via, graph.offsets, found, -1)[::-1])
-        bound = min(max(g[found] / lower, 1.0), float(weight))
-    seconds = time.perf_counter() - begin
-    return make_path(
-        graph,
-        flat,
-        clearance=clearance,
-        expansions=expansions,
-        pushes=pushes,
-        seconds=seconds,
-        bound=bound,
+    targets = positions[1:] if len(planes) else positions[1:2]
+    return _Query(
+        graph=graph,
+        arrays=kernels.graph_arrays(graph, lengths),
+        planes=planes,
+        start=int(source[0]),
+        goals=goals,
+        origin=positions[:1],
+        targets=targets,
+        scale=_KEY_STEPS / (float(graph.lengths.min()) * cheapest),
+        slack=slack,
     )
 
 
-def _search(
-    arrays: tuple[Any, ...],
-    planes: NDArray[np.float64],
-    targets: NDArray[np.int64],
-    onward: tuple[NDArray[np.int64], NDArray[np.int64]],
-    start: int,
-    weight: float,
-    scale: float,
-    slack: float,
-    width: float,
-    slots: int,
-    moves: NDArray[np.int64],
-    g: NDArray[np.float64],
-    via: NDArray[np.uint8],
-) -> tuple[int, int, int, float]:
-    """Run the kernel ``advance``, which says what the arguments are, with a queue that grows.
+def _positions(graph: LatticeGraph, flat: IntArray) -> IntArray:
+    """Return flat cells (M,) in window coordinates (M, n)."""
+    return np.ascontiguousarray(graph.flat_to_index(flat) - graph.low, dtype=np.int64)
 
-    Returns:
-        (goal or -1, expansions, pushes, a lower bound of the least cost).
+
+# ---------------------------------------------------------------------- search and reconstruct
+
+
+def _search_from_both_ends(query: _Query) -> _Found | None:
+    """Return a path found from both ends, None where there is none."""
+    from planners.search import _astar_kernels, _bidirectional_kernels
+
+    graph, planes = query.graph, query.planes
+    steps = np.zeros((len(graph.moves) + 1, len(planes)))
+    steps[:-1] = graph.moves @ planes.T
+    ahead, behind = (
+        _bidirectional_kernels.Side(sparse_zeros(graph.size, np.float64), sparse_zeros(graph.size, np.uint8))
+        for _ in range(2)
+    )
+    meeting, expansions, pushes, _ = _bidirectional_kernels.search_both(
+        query.arrays,
+        _bidirectional_kernels.Estimates(planes, steps, query.targets, query.origin, graph.strides),
+        query.start,
+        query.goals,
+        query.scale,
+        query.slack,
+        ahead,
+        behind,
+    )
+    if meeting < 0:
+        return None
+    there = _astar_kernels.follow(ahead.parent_move, graph.offsets, meeting, -1)[::-1]
+    onward = _astar_kernels.follow(behind.parent_move, graph.offsets, meeting, 1)[1:]
+    return _Found(np.concatenate([there, onward]), expansions, pushes, 1.0)
+
+
+def _search(query: _Query, weight: float) -> _Found | None:
+    """Return a path found from the start, None where there is none.
+
+    The kernel returns when its open list is full, and goes on with one twice as long.
     """
     from planners.search import _astar_kernels as kernels
 
-    strides = arrays[-1]
-    rises = moves @ planes
-    reach = float(np.abs(rises).max(initial=0.0)) * (2.0 + 1e-9)
-    size = targets.shape[0] * planes.shape[1]
-    room = (
-        np.empty((len(targets), planes.shape[1])),
-        np.empty(len(targets)),
-        np.zeros(len(targets) + 1, np.int64),
-        np.empty(size + 1, np.int64),
-        np.empty(size + 1),
+    graph = query.graph
+    heuristic = _heuristic(query)
+    width, slots = _buckets(query, weight)
+    tuning = kernels.Tuning(float(weight), query.scale, query.slack, 1.0 / width)
+    cells = kernels.Reached(sparse_zeros(graph.size, np.float64), sparse_zeros(graph.size, np.uint8))
+    cells.parent_move[query.goals] = kernels.GOAL
+    cells.parent_move[query.start] |= len(graph.moves) + 1
+    # The start is the one entry of the heap.
+    first = float(np.floor(weight * _estimates(heuristic, query.origin)[0] * query.scale + 0.5))
+    open_list = kernels.OpenList(
+        heads=np.full(slots, -1, np.int64),
+        key=np.full(_FIRST_QUEUE, first),
+        cost=np.zeros(_FIRST_QUEUE),
+        node=np.full(_FIRST_QUEUE, query.start),
+        wait=np.empty((_FIRST_QUEUE, 2)),
+        link=np.empty((_FIRST_QUEUE, 2), np.int64),
     )
-
-    def estimate(cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        places, rest = np.empty((len(cells), len(strides))), cells
-        for i, stride in enumerate(strides):
-            places[:, i], rest = rest // stride, rest % stride
-        least = np.full(len(cells), np.inf)
-        for target in targets:
-            least = np.minimum(least, np.abs((places - target) @ planes).max(axis=1, initial=0.0))
-        return least
-
-    heads = np.full(slots, -1, np.int64)
-    first = float(np.floor(weight * estimate(np.array([start]))[0] * scale + 0.5))
-    key, cost, node = np.full(_FIRST_QUEUE, first), np.zeros(_FIRST_QUEUE), np.full(_FIRST_QUEUE, start)
-    wait, link = np.empty((_FIRST_QUEUE, 2)), np.empty((_FIRST_QUEUE, 2), np.int64)
-    counts = np.array([1, 0, -1, 0, int(first / width), -1, 0, 1], np.int64)
-    bests = np.full(2, np.inf)
-    g[start] = 0.0
-    via[start] |= len(moves) + 1
-    steady = (*arrays, 1.0 / strides, planes, rises, reach, targets, *onward, float(weight), scale, slack, 1.0 / width)
-    written = (*room, counts, bests, g, via)
-    while not kernels.advance(*(*steady, heads, key, cost, node, wait, link, *written)):
-        key, cost, node, wait, link = (np.concatenate([a, np.empty_like(a)]) for a in (key, cost, node, wait, link))
-    lower = float(bests[0])
+    progress = np.zeros(1, kernels.PROGRESS)
+    progress[0] = (1, 0, -1, 0, int(first / width), -1, 0, 1, np.inf, np.inf)
+    steady = (query.arrays, kernels.OnwardMoves(*onward_moves(graph)), heuristic, tuning)
+    scratch = _scratch(heuristic)
+    while not kernels.run_astar(*steady, open_list, scratch, progress, cells):
+        longer = (np.concatenate([array, np.empty_like(array)]) for array in open_list[1:])
+        open_list = kernels.OpenList(open_list.heads, *longer)
+    end = progress[0]
+    goal = int(end["goal"])
+    if goal < 0:
+        return None
+    flat = np.ascontiguousarray(kernels.follow(cells.parent_move, graph.offsets, goal, -1)[::-1])
+    bound = 1.0
     if weight > 1.0:
-        # The best path goes through a cell that waits, at its least cost: the least f is a bound.
-        cells = np.concatenate([node[: counts[0]], link[: counts[1], 0]])
-        costs = np.concatenate([cost[: counts[0]], wait[: counts[1], 1]])
-        waits = costs == g[cells]
-        lower = float((costs[waits] + estimate(cells[waits])).min(initial=lower))
-    return int(counts[5]), int(counts[6]), int(counts[7]), lower
+        least = _least_cost(query, heuristic, open_list, end, cells.g)
+        bound = min(max(float(cells.g[goal]) / least, 1.0), float(weight))
+    return _Found(flat, int(end["expansions"]), int(end["pushes"]), bound)
 
 
-def _onward_moves(graph: LatticeGraph) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the moves worth a try after each of the moves, and at the start, as starts (K + 2,) and moves.
+def _heuristic(query: _Query) -> Heuristic:
+    """Return the heuristic of a search from the start."""
+    from planners.search import _astar_kernels as kernels
 
-    After the move k the move m is not, where a strictly shorter way from the cell before both leads
-    to the cell after both through cells that are free if k and m are allowed: no cheapest path has
-    the two in a row. Jump point search calls the others natural or forced neighbours (Harabor and
-    Grastien, 2011); here they follow from moves, lengths and the corner rule of any lattice. Terrain
-    could make the shorter way dearer: with it all are tried.
-    """
-    moves = len(graph.moves)
-    if graph.terrain is not None or moves > _MOST_ONWARD:
-        return np.arange(moves + 2, dtype=np.int64) * moves, np.tile(np.arange(moves, dtype=np.int64), moves + 1)
-    # No cell is swept beyond the padding, so that flat offsets tell which it is.
-    at = np.unravel_index(graph.swept + graph.pad @ graph.strides, tuple(int(s) for s in graph.shape))
-    swept = np.stack(at, axis=1) - graph.pad
-    return _onward(
-        tuple(map(tuple, graph.moves.tolist())),
-        tuple(graph.lengths.tolist()),
-        tuple(map(tuple, swept.tolist())),
-        tuple(graph.swept_starts.tolist()),
+    graph, facets = query.graph, len(query.planes)
+    planes = np.zeros((graph.lattice.dim, -(-facets // 4) * 4))
+    planes[:, :facets] = query.planes.T
+    steps = graph.moves @ planes
+    reach = float(np.abs(steps).max(initial=0.0)) * (2.0 + 1e-9)
+    return kernels.Heuristic(planes, steps, reach, query.targets, graph.strides, 1.0 / graph.strides)
+
+
+def _buckets(query: _Query, weight: float) -> tuple[float, int]:
+    """Return the width of the open list's buckets, in keys, and how many there must be."""
+    # f rises by a move's cost and by as much of the heuristic, at most.
+    terrain = query.graph.terrain
+    dearest = float(query.graph.lengths.max()) * (1.0 if terrain is None else float(terrain.max()))
+    span = dearest * (1.0 + weight) * query.scale
+    width = max(_KEY_STEPS / _BUCKETS_A_MOVE, span / _MOST_BUCKETS)
+    return width, 1 << math.ceil(math.log2(span / width + 3.0))
+
+
+def _scratch(heuristic: Heuristic) -> Scratch:
+    """Return room for the heuristic at one cell."""
+    from planners.search import _astar_kernels as kernels
+
+    targets, facets = len(heuristic.targets), heuristic.planes.shape[1]
+    return kernels.Scratch(
+        base=np.empty((targets, facets)),
+        tops=np.empty(targets),
+        near_starts=np.zeros(targets + 1, np.int64),
+        near_plane=np.empty(targets * facets + 1, np.int64),
+        near_base=np.empty(targets * facets + 1),
     )
 
 
-_Vector: TypeAlias = tuple[int, ...]
+def _estimates(heuristic: Heuristic, positions: IntArray) -> FloatArray:
+    """Return the heuristic (M,) at window coordinates (M, n)."""
+    least = np.full(len(positions), np.inf)
+    for target in heuristic.targets:
+        least = np.minimum(least, np.abs((positions - target) @ heuristic.planes).max(axis=1, initial=0.0))
+    return least
 
 
-@lru_cache(maxsize=64)
-def _onward(
-    moves: tuple[_Vector, ...], lengths: tuple[float, ...], swept: tuple[_Vector, ...], starts: tuple[int, ...]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    number = {move: k for k, move in enumerate(moves)}
-    sweeps = [swept[starts[k] : starts[k + 1]] for k in range(len(moves))]
+def _least_cost(query: _Query, heuristic: Heuristic, open_list: OpenList, end: np.void, g: FloatArray) -> float:
+    """Return a lower bound of the least cost after a search with a weight, which ended with ``end``.
 
-    def plus(a: _Vector, b: _Vector) -> _Vector:
-        return tuple(x + y for x, y in zip(a, b, strict=True))
+    The best path goes through an open cell, at its least cost: the least f without the weight is a bound.
+    """
+    entries, used = int(end["entries"]), int(end["used"])
+    cells = np.concatenate([open_list.node[:entries], open_list.link[:used, 0]])
+    costs = np.concatenate([open_list.cost[:entries], open_list.wait[:used, 1]])
+    current = costs == g[cells]  # false for positions given back, whose cost is not a number
+    cells, costs = cells[current], costs[current]
+    f = costs + _estimates(heuristic, _positions(query.graph, cells))
+    return float(f.min(initial=float(end["cost"])))
 
-    def straight(a: _Vector, b: _Vector, open_cells: set[_Vector]) -> float:
-        """Return the length of the move from a to b, infinite if there is none or it is not known to be free."""
-        k = number.get(tuple(y - x for x, y in zip(a, b, strict=True)))
-        if k is None or not all(plus(a, s) in open_cells for s in sweeps[k]):
-            return math.inf
-        return lengths[k]
 
-    rows: list[list[int]] = []
-    for k, first in enumerate(moves):
-        rows.append([])
-        origin = (0,) * len(first)
-        for m, second in enumerate(moves):
-            end = plus(first, second)
-            known = {origin, first, end, *sweeps[k], *(plus(first, s) for s in sweeps[m])}
-            ways = [
-                straight(origin, c, known) + (0.0 if c == end else straight(c, end, known)) for c in known - {origin}
-            ]
-            if end != origin and min(ways) >= (lengths[k] + lengths[m]) * (1.0 - 1e-9):
-                rows[-1].append(m)
-    rows.append(list(range(len(moves))))
-    onward_starts = np.cumsum([0, *map(len, rows)]).astype(np.int64)
-    onward = np.array([m for row in rows for m in row], dtype=np.int64)
-    return onward_starts, onward
+# ---------------------------------------------------------------------- goals
 
 
 def _goals(graph: LatticeGraph, goal: ArrayLike) -> NDArray[np.int64]:
@@ -321,5 +373,3 @@ def _replaced(graph: LatticeGraph, start: ArrayLike, goal: ArrayLike) -> NDArray
         if labels[flat[0]] == labels[cells_to_flat(graph, start, "start")[0]]:
             return None
     return nearest_reachable(graph, start, graph.lattice.basis @ np.asarray(goal, dtype=np.float64))
-
-

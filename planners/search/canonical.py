@@ -45,16 +45,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.lattice import window
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.canonical_order import canonical_ordering
 from planners.search.heuristics import gauge_planes
-from planners.search.sparse_arrays import blank
+from planners.search.offsets import offset_vectors
+from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
+    from planners.search._canonical_kernels import Estimates, Rules
 
-__all__ = ["canonical"]
+__all__ = ["Found", "canonical", "search_flat"]
 
 _KEY_BITS = 32  # of the queue's keys, to the cheapest move
 # Of the lengths, to the shortest: sums are exact for 2^14 moves with the first, 2^18 with the second.
@@ -71,24 +75,32 @@ class _Prepared(NamedTuple):
     Attributes:
         lengths: (K,) float64 integers.
         planes: (F, n) facets of the gauge in these units.
-        rises: (K + 1, F) products of the moves with the planes, the last row zero.
+        heuristic_steps: (K + 1, F) products of the moves with the planes, the last row zero.
         rules: the ordering with flat offsets, as the kernels take it.
         longest: steps along a line, 1 where there are to be none.
-        towards: (K, n), of which the product with a way of indices is largest for the move nearest in direction.
+        towards: (K, n), of which the product with an index offset is largest for the move nearest in direction.
         higher: (K,) whether a move's level is above that of the opposite move.
     """
 
     lengths: NDArray[np.float64]
     planes: NDArray[np.float64]
-    rises: NDArray[np.float64]
-    rules: tuple[NDArray[np.int64], ...]
+    heuristic_steps: NDArray[np.float64]
+    rules: Rules
     longest: int
     towards: NDArray[np.float64]
     higher: NDArray[np.bool_]
 
 
-class _Found(NamedTuple):
-    """The flat cells of a path (None: nothing leads there) and what finding it took."""
+class Found(NamedTuple):
+    """The flat cells of a path (None: nothing leads there) and what finding it took.
+
+    Attributes:
+        flat: (M,) int64 from the start to the goal, or None.
+        expansions: cells whose moves were tried.
+        pushes: entries made in the queue.
+        scanned: cells looked at along lines.
+        tried: moves tried.
+    """
 
     flat: NDArray[np.int64] | None
     expansions: int
@@ -126,8 +138,10 @@ def canonical(
         ArgumentError: the graph has terrain or more than 61 moves, or more than one cell is given.
 
     Examples:
+        >>> import numpy as np
         >>> from hexmap.graph import LatticeGraph
         >>> from hexmap.lattice import Lattice
+        >>> from planners import canonical
         >>> graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((9, 9), np.uint8), neighbourhood=8)
         >>> path = canonical(graph, [0, 0], [8, 3])
         >>> round(path.cost, 6), len(path)
@@ -144,13 +158,13 @@ def canonical(
             raise ArgumentError(f"canonical search goes between two cells, not {len(found)} as the {role}")
         ends.append(int(found[0]))
     begin = time.perf_counter()
-    labels = getattr(graph, "_labels", None)
+    labels = graph.known_components
     if ends[0] == ends[1]:
-        result = _Found(np.array(ends[:1]), 0, 0, 0, 0)
+        result = Found(np.array(ends[:1]), 0, 0, 0, 0)
     elif labels is not None and labels[ends[0]] != labels[ends[1]]:
-        result = _Found(None, 0, 0, 0, 0)  # somebody has looked for the components already
+        result = Found(None, 0, 0, 0, 0)  # the components are known already
     else:
-        result = _search(graph, ends[0], ends[1], _LONGEST if jump else 1)
+        result = search_flat(graph, ends[0], ends[1], jump=jump)
     seconds = time.perf_counter() - begin
     if result.flat is None:
         a, b = (tuple(np.ravel(cell).tolist()) for cell in (start, goal))
@@ -166,38 +180,57 @@ def canonical(
     )
 
 
-def _search(graph: LatticeGraph, start: int, goal: int, longest: int, *, either_way: bool = True) -> _Found:
-    """Search between two different flat cells; a ``goal`` of -1 is never met, and everything is searched."""
+def search_flat(graph: LatticeGraph, start: int, goal: int, *, jump: bool = True) -> Found:
+    """Search between two different flat cells; a ``goal`` of -1 is never met, and everything is searched.
+
+    Starts and goals are not checked: :func:`canonical` does.
+    """
     from planners.search import _canonical_kernels as kernels
 
-    world = (graph.free, graph.offsets, graph.swept_starts, graph.swept)
+    passable = kernels.Passable(graph.free, graph.offsets, graph.swept_starts, graph.swept)
     record = np.int32 if len(graph.moves) <= 30 else np.int64
-    cells = blank(graph.size, [("g", np.float64), ("seen", record), ("waiting", record)])
-    for most_bits in _LENGTH_BITS:
-        bits = 0 if graph.equal_edges else most_bits
-        p = _prepare(graph, bits)
-        places = graph.flat_to_index(np.array([start, max(goal, 0)])) - graph.low
-        turned = bool(either_way and goal >= 0 and p.higher[int(np.argmax(p.towards @ (places[1] - places[0])))])
-        if turned:
-            start, goal, places = goal, start, places[::-1]
-        planes, rises = (p.planes, p.rises) if goal >= 0 else (p.planes[:0], np.ascontiguousarray(p.rises[:, :0]))
-        known = blank(graph.size, np.uint8)
-        target = np.ascontiguousarray(places[1], dtype=np.int64)
+    records = sparse_zeros(graph.size, [("g", np.float64), ("seen", record), ("waiting", record)])
+    positions = graph.flat_to_index(np.array([start, max(goal, 0)])) - graph.low
+    # With fewer bits a length where the sums of a very long path were not exact.
+    for bits in (0,) if graph.equal_edges else _LENGTH_BITS:
+        prepared = _prepare(graph, bits)
+        # From the goal where the moves towards the start have the lower level.
+        nearest_move = int(np.argmax(prepared.towards @ (positions[1] - positions[0])))
+        reverse = goal >= 0 and bool(prepared.higher[nearest_move])
+        first, last, target = (goal, start, positions[0]) if reverse else (start, goal, positions[1])
+        reached = kernels.Reached(sparse_zeros(graph.size, np.uint8), records)
         cost, *counts = kernels.search(
-            world, p.rules, p.lengths, graph.strides, planes, rises, target, start, goal,
-            2.0 ** (_KEY_BITS - bits), min(longest, p.longest), known, cells,
-        )  # fmt: skip
+            passable,
+            prepared.lengths,
+            prepared.rules,
+            _estimates(graph, prepared, target, goal >= 0),
+            first,
+            last,
+            2.0 ** (_KEY_BITS - bits),
+            min(_LONGEST if jump else 1, prepared.longest),
+            reached,
+        )
         if cost != kernels.OVERFLOW:
             break
-        if turned:
-            start, goal = goal, start
     if not np.isfinite(cost):
-        return _Found(None, *counts)
-    flat = kernels.follow(graph.offsets, p.lengths, start, goal, known, cells)
-    return _Found(np.ascontiguousarray(flat if turned else flat[::-1]), *counts)
+        return Found(None, *counts)
+    flat = kernels.follow(graph.offsets, prepared.lengths, first, last, reached)
+    return Found(np.ascontiguousarray(flat if reverse else flat[::-1]), *counts)
+
+
+def _estimates(graph: LatticeGraph, prepared: _Prepared, target: IntArray, directed: bool) -> Estimates:
+    """Return the heuristic to a target in window coordinates (n,); none for a search that is not directed."""
+    from planners.search import _canonical_kernels as kernels
+
+    planes, steps = prepared.planes, prepared.heuristic_steps
+    if not directed:
+        planes, steps = planes[:0], np.ascontiguousarray(steps[:, :0])
+    target = np.ascontiguousarray(target, dtype=np.int64)
+    return kernels.Estimates(planes, steps, target, graph.strides, 1.0 / graph.strides)
 
 
 def _prepare(graph: LatticeGraph, bits: int) -> _Prepared:
+    """Return what searches share whose lengths have so many bits more than the shortest."""
     fields = (graph.moves, graph.lengths, graph.swept, graph.swept_starts, graph.pad, graph.shape, graph.lattice.basis)
     return _prepared(*(field.tobytes() for field in fields), bits)
 
@@ -206,31 +239,37 @@ def _prepare(graph: LatticeGraph, bits: int) -> _Prepared:
 def _prepared(
     moves: bytes, metres: bytes, swept: bytes, swept_starts: bytes, pad: bytes, shape: bytes, basis: bytes, bits: int
 ) -> _Prepared:
+    """Return what searches share, by the bytes of a graph's arrays: once for all windows of the same shape."""
+    from planners.search import _canonical_kernels as kernels
+
     padding, size = np.frombuffer(pad, np.int64), np.frombuffer(shape, np.int64)
     n = len(size)
     v = np.frombuffer(moves, np.int64).reshape(-1, n)
-    strides = np.append(np.cumprod(size[:0:-1])[::-1], 1)
+    strides = window.strides(size)
     metre_lengths = np.frombuffer(metres)
     lengths = np.rint(metre_lengths / metre_lengths.min() * 2.0**bits)
-    # No cell is swept beyond the padding, so that flat offsets tell which it is.
-    places = np.unravel_index(np.frombuffer(swept, np.int64) + int(padding @ strides), tuple(size.tolist()))
-    cells = [tuple(cell) for cell in (np.stack(places, axis=1) - padding).tolist()]
+    swept_vectors = offset_vectors(np.frombuffer(swept, np.int64), padding, size, strides)
+    cells = [tuple(cell) for cell in swept_vectors.tolist()]
     ends = np.frombuffer(swept_starts, np.int64).tolist()
     sweeps = tuple(tuple(cells[a:b]) for a, b in itertools.pairwise(ends))
     ordering = canonical_ordering(v, lengths.astype(np.int64), sweeps)
     planes = gauge_planes(v, lengths)
-    rises = np.zeros((len(v) + 1, len(planes)))
-    rises[:-1] = v @ planes.T
-    tables = (
-        ordering.natural,
-        np.minimum(ordering.level, _HIGHEST),
-        ordering.guard_starts,
-        ordering.guards @ strides,
-        ordering.pair_starts,
-        ordering.seconds,
-        ordering.way_starts,
-        ordering.cell_starts,
-        ordering.cells @ strides,
+    heuristic_steps = np.zeros((len(v) + 1, len(planes)))
+    heuristic_steps[:-1] = v @ planes.T
+    # Copies: read-only arrays would compile the kernels a second time.
+    natural, level, *tables = (
+        np.array(table, dtype=np.int64)
+        for table in (
+            ordering.natural,
+            np.minimum(ordering.level, _HIGHEST),
+            ordering.guard_starts,
+            ordering.guards @ strides,
+            ordering.pair_starts,
+            ordering.seconds,
+            ordering.alternative_starts,
+            ordering.cell_starts,
+            ordering.cells @ strides,
+        )
     )
     straight = all(int(ordering.natural[k]) >> k & 1 for k in range(len(v)))
     lines = straight and (n == 3 or int(ordering.level.max()) <= _MOST_LEVEL_IN_PLANE)
@@ -240,9 +279,8 @@ def _prepared(
     return _Prepared(
         lengths,
         np.array(planes),
-        rises,
-        # Copies: read-only arrays would compile the kernels a second time.
-        tuple(np.array(table, dtype=np.int64) for table in tables),
+        heuristic_steps,
+        kernels.Rules(natural, level, kernels.Pairs(*tables)),
         _LONGEST if lines else 1,
         (v @ B.T / metre_lengths[:, None]) @ B,
         ordering.level > ordering.level[opposite],

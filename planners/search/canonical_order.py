@@ -2,9 +2,9 @@
 
 A total order of the moves makes of all shortest paths between two cells one *canonical* path: of
 those with the fewest moves the one whose sequence of ranks is lexicographically smallest. A pair
-of consecutive moves (d, e) from p over y = p + d to z = y + e cannot be on it where another way
+of consecutive moves (d, e) from p over y = p + d to z = y + e cannot be on it where another path
 from p to z is legal and better: a single move f = d + e that costs no more, or a pair (f, g) with
-f + g = d + e that costs less, or as much with f of a lower rank than d. Such ways are the pair's
+f + g = d + e that costs less, or as much with f of a lower rank than d. Such paths are the pair's
 *alternatives*. A pair without any is *natural*; any other is *forced* exactly where something
 blocks each of its alternatives.
 
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import IntArray
+from planners.search.offsets import Vector, plus
 
 __all__ = ["Ordering", "canonical_ordering", "natural_pairs"]
 
@@ -48,7 +49,7 @@ class Ordering(NamedTuple):
         guards: (G, n) cells around y; while those of d are free, no pair (d, e) is forced.
         pair_starts: (K + 1,) where the pairs of each first move begin that can be forced.
         seconds: (P,) the second move of each of these pairs.
-        way_starts: (P + 1,) where the alternatives of each pair begin.
+        alternative_starts: (P + 1,) where the alternatives of each pair begin.
         cell_starts: (W + 1,) where the cells of each alternative begin.
         cells: (C, n) what must be free for an alternative, if (d, e) itself is legal.
     """
@@ -60,7 +61,7 @@ class Ordering(NamedTuple):
     guards: IntArray
     pair_starts: IntArray
     seconds: IntArray
-    way_starts: IntArray
+    alternative_starts: IntArray
     cell_starts: IntArray
     cells: IntArray
 
@@ -138,9 +139,7 @@ def _best_order(lengths: IntArray, pairs: _Candidates) -> IntArray:
     return best[1].astype(np.int64)
 
 
-def canonical_ordering(
-    moves: IntArray, lengths: IntArray, swept: tuple[tuple[tuple[int, ...], ...], ...]
-) -> Ordering:
+def canonical_ordering(moves: IntArray, lengths: IntArray, swept: tuple[tuple[Vector, ...], ...]) -> Ordering:
     """Return the ordering of moves (K, n) of integer lengths (K,) and all that follows from it, computed once.
 
     Args:
@@ -160,94 +159,167 @@ def _order_of(moves: bytes, lengths: bytes, n: int) -> tuple[IntArray, NDArray[n
     return order, _natural(order, pairs) > 0
 
 
+class _Table(NamedTuple):
+    """Moves, ready for looking at pairs of them.
+
+    Attributes:
+        moves: the K offsets.
+        number: which move an offset is.
+        costs: their K integer lengths.
+        rank: their K ranks.
+        swept: for each move the further cells, from its start, that must be free.
+        reach: (n,) how far moves and what they sweep reach along each index, which is the window's padding.
+    """
+
+    moves: list[Vector]
+    number: dict[Vector, int]
+    costs: list[int]
+    rank: list[int]
+    swept: tuple[tuple[Vector, ...], ...]
+    reach: IntArray
+
+
+class _Alternative(NamedTuple):
+    """A better path than a pair of moves: its middle, and the cells it needs beyond those that the pair needs."""
+
+    middle: Vector
+    cells: list[Vector]
+
+
 @lru_cache(maxsize=64)
-def _ordering(moves: bytes, lengths: bytes, n: int, swept: tuple[tuple[tuple[int, ...], ...], ...]) -> Ordering:
+def _ordering(moves: bytes, lengths: bytes, n: int, swept: tuple[tuple[Vector, ...], ...]) -> Ordering:
+    """Return the ordering of moves (K, n) and integer lengths (K,), both int64 and as bytes; see :class:`Ordering`.
+
+    **Worked example: A2-6**, with the moves 0 to 5 = (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), all of
+    length 1, which sweep nothing. Around the circle they are 5, 3, 1, 0, 2, 4.
+
+    The order found is 2, 1, 5, 3, 4, 0: three moves a third of the circle apart rank before the three
+    between them. What may follow the move 0, from p = (1, 0) over y = (0, 0) to z?
+
+    - 0, to (-1, 0): no other two moves lead there. The pair (0, 0) is natural.
+    - 2, to (0, -1): no single move leads there, but the pair (2, 0) does, over (1, -1), and 2 ranks before 0. It is
+      an alternative that needs the cell (1, -1): (0, 2) is forced where (1, -1) is blocked. Likewise 1, where
+      (0, 1) is blocked.
+    - 4, to (1, -1): the single move 2 leads there at half the cost and needs no further cell. Such an
+      alternative is legal wherever the pair is: (0, 4) is left out everywhere. Likewise 3 and 5.
+
+    So the move 0 is followed naturally by itself alone: its level is 0, and the search jumps along it.
+    Its guards are (1, -1) and (0, 1): while both are free, nothing is forced after it. The move 2 may
+    be followed by itself and by its neighbours around the circle, 0 and 4: its level is 1, and
+    no pair that begins with it can be forced. Hence a path in the open first takes its moves of 2, 1 or 5,
+    then those of 0, 3 or 4, and there is one such path to every cell.
+    """
     v, costs = np.frombuffer(moves, np.int64).reshape(-1, n), np.frombuffer(lengths, np.int64)
     count = len(v)
     order, natural = _order_of(moves, lengths, n)
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
-    way_of = {tuple(move): k for k, move in enumerate(v.tolist())}
-    reach = np.abs(np.array([*v.tolist(), *(cell for cells in swept for cell in cells)])).max(axis=0)
+    vectors = [tuple(move) for move in v.tolist()]
+    reach = np.abs(np.array([*vectors, *(cell for cells in swept for cell in cells)])).max(axis=0)
+    number = {move: k for k, move in enumerate(vectors)}
+    table = _Table(vectors, number, costs.tolist(), rank.tolist(), swept, reach)
 
-    def plus(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[int, ...]:
-        return tuple(x + y for x, y in zip(a, b, strict=True))
-
-    def alternatives(d: int, e: int) -> list[tuple[tuple[int, ...], list[tuple[int, ...]]]]:
-        """Return the middle of each alternative and the cells it needs beyond those that (d, e) itself needs."""
-        y = (0,) * n
-        p, z = tuple((-v[d]).tolist()), tuple(v[e].tolist())
-        known = {p, y, z, *(plus(p, s) for s in swept[d]), *swept[e]}
-        ways: list[tuple[tuple[int, ...], list[tuple[int, ...]]]] = []
-        total = int(costs[d] + costs[e])
-        if p == z:
-            return [(y, [])]
-        whole = way_of.get(plus(z, tuple(v[d].tolist())))
-        if whole is not None and costs[whole] <= total:
-            ways.append((p, [plus(p, s) for s in swept[whole]]))
-        for f in range(count):
-            middle = plus(p, tuple(v[f].tolist()))
-            g = way_of.get(tuple(b - a for a, b in zip(middle, z, strict=True)))
-            if g is None or f == d:
-                continue
-            if costs[f] + costs[g] < total or (costs[f] + costs[g] == total and rank[f] < rank[d]):
-                # The middle first: while it is free, what is swept around it lies inside the window's padding.
-                ways.append((middle, [middle, *(plus(p, s) for s in swept[f]), *(plus(middle, s) for s in swept[g])]))
-        ways = [(m, [c for c in dict.fromkeys(cells) if c not in known]) for m, cells in ways]
-        ways.sort(key=lambda way: len(way[1]))
-        kept: list[tuple[tuple[int, ...], list[tuple[int, ...]]]] = []
-        for m, cells in ways:
-            if not any(set(other) <= set(cells) for _, other in kept):
-                kept.append((m, cells))
-        return kept
-
-    bits = np.zeros(count + 1, np.int64)
-    bits[count] = (1 << count) - 1
     guard_starts, guards = [0], []
     pair_starts, seconds = [0], []
-    way_starts, cell_starts = [0], [0]
-    cells: list[tuple[int, ...]] = []
+    alternative_starts, cell_starts = [0], [0]
+    cells: list[Vector] = []
     for d in range(count):
-        guarding: dict[tuple[int, ...], None] = {}
-        options = []
-        for e in order.tolist():
-            if natural[d, e]:
-                bits[d] |= 1 << e
-                continue
-            ways = alternatives(d, e)
-            if not ways[0][1]:
+        forcible = []
+        for e in order[~natural[d, order]].tolist():
+            alternatives = _alternatives(d, e, table)
+            if not alternatives[0].cells:
                 continue  # legal wherever the pair is
+            forcible.append(alternatives)
             seconds.append(e)
-            for _, needed in ways:
-                cells += needed
+            for alternative in alternatives:
+                cells += alternative.cells
                 cell_starts.append(len(cells))
-            way_starts.append(len(cell_starts) - 1)
-            options.append([[m, *needed] if (np.abs(needed) > reach).any() else needed for m, needed in ways])
-        # One alternative of each pair, so that few cells guard all.
-        for ways_of in sorted(options, key=len):
-            guarding.update(dict.fromkeys(min(ways_of, key=lambda way: len([c for c in way if c not in guarding]))))
-        guards += list(guarding)
+            alternative_starts.append(len(cell_starts) - 1)
+        guards += _guards(forcible, reach)
         guard_starts.append(len(guards))
         pair_starts.append(len(seconds))
-    level = np.zeros(count, np.int64)
-    for d in order[::-1].tolist():
-        level[d] = max((level[e] + 1 for e in range(count) if natural[d, e] and e != d), default=0)
-
-    def vectors(rows: list[tuple[int, ...]]) -> IntArray:
-        return np.array(rows, dtype=np.int64).reshape(-1, n)
-
     out = Ordering(
-        order,
-        bits,
-        level,
-        np.array(guard_starts),
-        vectors(guards),
-        np.array(pair_starts),
-        np.array(seconds, dtype=np.int64),
-        np.array(way_starts),
-        np.array(cell_starts),
-        vectors(cells),
+        order=order,
+        natural=_bits(natural),
+        level=_levels(order, natural),
+        guard_starts=np.array(guard_starts),
+        guards=np.array(guards, dtype=np.int64).reshape(-1, n),
+        pair_starts=np.array(pair_starts),
+        seconds=np.array(seconds, dtype=np.int64),
+        alternative_starts=np.array(alternative_starts),
+        cell_starts=np.array(cell_starts),
+        cells=np.array(cells, dtype=np.int64).reshape(-1, n),
     )
     for array in out:
         array.setflags(write=False)
     return out
+
+
+def _alternatives(d: int, e: int, table: _Table) -> list[_Alternative]:
+    """Return the alternatives of the pair (d, e), those that need the fewest cells first.
+
+    All cells are relative to the middle of the pair. One that needs all that another needs, and
+    more, is left out: it is never the only one that is free.
+    """
+    moves, number, costs, rank, swept, _ = table
+    y = (0,) * len(moves[d])
+    p, z = tuple(-x for x in moves[d]), moves[e]
+    if p == z:
+        return [_Alternative(y, [])]  # not to move at all
+    found: list[_Alternative] = []
+    total = costs[d] + costs[e]
+    whole = number.get(plus(z, moves[d]))
+    if whole is not None and costs[whole] <= total:
+        found.append(_Alternative(p, [plus(p, s) for s in swept[whole]]))
+    for f, first in enumerate(moves):
+        middle = plus(p, first)
+        g = number.get(tuple(b - a for a, b in zip(middle, z, strict=True)))
+        if g is None or f == d:
+            continue
+        if costs[f] + costs[g] < total or (costs[f] + costs[g] == total and rank[f] < rank[d]):
+            # The middle first: while it is free, what is swept around it lies inside the window's padding.
+            needed = [middle, *(plus(p, s) for s in swept[f]), *(plus(middle, s) for s in swept[g])]
+            found.append(_Alternative(middle, needed))
+    known = {p, y, z, *(plus(p, s) for s in swept[d]), *swept[e]}
+    found = [_Alternative(m, [c for c in dict.fromkeys(cells) if c not in known]) for m, cells in found]
+    found.sort(key=lambda alternative: len(alternative.cells))
+    kept: list[_Alternative] = []
+    for alternative in found:
+        if not any(set(other.cells) <= set(alternative.cells) for other in kept):
+            kept.append(alternative)
+    return kept
+
+
+def _guards(forcible: list[list[_Alternative]], reach: IntArray) -> list[Vector]:
+    """Return cells such that while all are free, one alternative of each pair is.
+
+    Args:
+        forcible: the alternatives of each pair with the same first move.
+        reach: see :class:`_Table`; where a cell lies beyond it the alternative's middle is looked at before.
+    """
+    guards: dict[Vector, None] = {}
+    options = [
+        [[m, *cells] if (np.abs(cells) > reach).any() else cells for m, cells in alternatives]
+        for alternatives in forcible
+    ]
+    # Of each pair the alternative that adds the fewest, so that few cells guard all.
+    for cells_of in sorted(options, key=len):
+        fewest = min(cells_of, key=lambda cells: len([c for c in cells if c not in guards]))
+        guards.update(dict.fromkeys(fewest))
+    return list(guards)
+
+
+def _bits(natural: NDArray[np.bool_]) -> IntArray:
+    """Return the rows of ``natural`` (K, K) as bits (K + 1,), with all of them for the start in the end."""
+    count = len(natural)
+    bits = [sum(1 << e for e in np.flatnonzero(row).tolist()) for row in natural]
+    return np.array([*bits, (1 << count) - 1], dtype=np.int64)
+
+
+def _levels(order: IntArray, natural: NDArray[np.bool_]) -> IntArray:
+    """Return the level (K,) of each move, from the last rank up: natural pairs of different moves ascend in rank."""
+    count = len(order)
+    level = np.zeros(count, np.int64)
+    for d in order[::-1].tolist():
+        level[d] = max((level[e] + 1 for e in range(count) if natural[d, e] and e != d), default=0)
+    return level

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["blank"]
+__all__ = ["sparse_zeros"]
 
 # Below it the system's large pages are the quicker ones: a search soon touches them all.
 _LARGE = 64 << 20
 
 
-def blank(size: int, dtype: DTypeLike) -> NDArray[Any]:
+def sparse_zeros(size: int, dtype: DTypeLike) -> NDArray[Any]:
     """Return zeros (size,), in small pages where they are many.
 
     numpy asks for pages of 2 MiB, each of which is cleared as a whole when one cell of it is written. A

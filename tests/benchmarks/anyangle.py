@@ -20,8 +20,8 @@ from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar, shortcut
 from planners.any_angle.optimum import AnyAngleOptimum
-from planners.any_angle.theta_star import search_way
-from tests.benchmarks._timing import data_folder, table, versions
+from planners.any_angle.theta_star import search_path
+from tests.benchmarks._common import data_folder, table, versions
 
 PLANE = (("Z2", 8, 1.0), ("Z2", 8, 0.5), ("A2", 6, 0.5), ("A2", 12, 0.5), ("Z2", 8, 0.25), ("A2", 6, 0.25))
 MAPS = ("arena", "den520d", "AR0011SR", "brc202d", "Berlin_0_512", "maze512-8-0", "random512-25-0")
@@ -85,28 +85,29 @@ def one_map(label: str, free: np.ndarray, ends: np.ndarray, kind: tuple[str, int
         if min(a, b) < 0 or a == b or not (graph.free[a] and graph.free[b]):
             continue
         if not rows:
-            search_way(graph, a, b)  # compiles
+            search_path(graph, a, b)  # compiles
         begin = time.thread_time()
-        way, counts = search_way(graph, a, b)
+        cells_on_path, effort = search_path(graph, a, b)
         middle = time.thread_time()
         try:
             path = astar(graph, cells[0], cells[1])
         except NoPath:
             continue
         after = time.thread_time()
-        points = graph.centres(way)
+        points = graph.centres(cells_on_path)
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         try:
             if optimum is not None:
                 best = optimum.path(points[0], points[-1]).length
             else:
-                raw, _ = search_way(graph, a, b, lazy=False)
+                raw, _ = search_path(graph, a, b, lazy=False)
                 eager = float(np.linalg.norm(np.diff(graph.centres(raw), axis=0), axis=1).sum())
                 best = min(length, eager, shortcut(graph, path).length)
         except NoPath:
             continue
         ratios = length / best, length / path.length
-        rows.append([*ratios, 1e3 * (middle - begin), 1e3 * (after - middle), counts[0], counts[2], counts[3]])
+        times = 1e3 * (middle - begin), 1e3 * (after - middle)
+        rows.append([*ratios, *times, effort.expansions, effort.lines, effort.scanned])
     if not rows:
         return [label, 0, *[""] * (len(HEAD) - 2)]
     r = np.array(rows, dtype=np.float64)

@@ -26,9 +26,9 @@ from hexmap.io.grids.open_grid import open_grid
 from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar, dijkstra
 from planners.search._shared_kernels import drop_top, gauge, may_move, project, rise
-from planners.search.canonical import _search, canonical
+from planners.search.canonical import canonical, search_flat
 from planners.search.heuristics import gauge_planes
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 from tests.lattices import CASES
 
 NAMED = (
@@ -40,7 +40,9 @@ LARGER_G, SMALLER_G, FIRST_IN = 1, -1, 0
 
 
 @njit(cache=True, nogil=True)
-def _plain_astar(free, offsets, swept_starts, swept, strides, planes, rises, targets, start, goal, ties, g, closed):  # type: ignore[no-untyped-def]
+def _plain_astar(  # type: ignore[no-untyped-def]
+    free, offsets, swept_starts, swept, strides, planes, heuristic_steps, targets, start, goal, ties, g, closed
+):
     """Search by A* over moves of length 1; of equal f the larger g, the smaller g or the first entry goes first."""
     key = np.empty(1024, np.float64)
     tie = np.empty(1024, np.float64)
@@ -48,7 +50,7 @@ def _plain_astar(free, offsets, swept_starts, swept, strides, planes, rises, tar
     base = np.empty((1, planes.shape[0]), np.float64)
     g[start] = 0.0
     project(start, targets, planes, strides, base)
-    rise(key, tie, node, 0, gauge(base, rises, offsets.shape[0]), 0.0, start)
+    rise(key, tie, node, 0, gauge(base, heuristic_steps, offsets.shape[0]), 0.0, start)
     count = 1
     pushes = 1
     while count > 0:
@@ -70,7 +72,7 @@ def _plain_astar(free, offsets, swept_starts, swept, strides, planes, rises, tar
             if free[b] == 0 or reached >= g[b] or not may_move(free, a, k, offsets, swept_starts, swept):
                 continue
             g[b] = reached
-            f = np.rint((reached + gauge(base, rises, k)) * 1e6)
+            f = np.rint((reached + gauge(base, heuristic_steps, k)) * 1e6)
             rise(key, tie, node, count, f, ties * reached if ties != 0 else -float(pushes), b)
             count += 1
             pushes += 1
@@ -81,12 +83,12 @@ def plain_astar(graph: LatticeGraph, start: np.ndarray, goal: np.ndarray, ties: 
     """Return moves and entries of the A* above, on equal edges."""
     ones = np.ones(len(graph.moves))
     planes = np.array(gauge_planes(graph.moves, ones))
-    rises = np.vstack([graph.moves @ planes.T, np.zeros((1, len(planes)))])
+    heuristic_steps = np.vstack([graph.moves @ planes.T, np.zeros((1, len(planes)))])
     a, b = graph.index_to_flat(np.array([start, goal]))
     targets = np.ascontiguousarray(goal[None] - graph.low, dtype=np.int64)
     cost, pushes = _plain_astar(
-        graph.free, graph.offsets, graph.swept_starts, graph.swept, graph.strides, planes, rises, targets, a, b,
-        ties, np.full(graph.size, np.inf), np.zeros(graph.size, np.uint8),
+        graph.free, graph.offsets, graph.swept_starts, graph.swept, graph.strides, planes, heuristic_steps, targets,
+        a, b, ties, np.full(graph.size, np.inf), np.zeros(graph.size, np.uint8),
     )  # fmt: skip
     return cost, pushes
 
@@ -166,7 +168,7 @@ def edges() -> None:
             middle = [side // 2] * lattice.dim
             states[tuple(middle)] = 1
             graph = LatticeGraph.from_states(lattice, [0] * lattice.dim, states, neighbourhood=size)
-            found = _search(graph, int(graph.index_to_flat(np.array([middle]))[0]), -1, 1)
+            found = search_flat(graph, int(graph.index_to_flat(np.array([middle]))[0]), -1, jump=False)
             row.append(found.tried / dijkstra(graph, middle).settled)
         rows.append(row)
     table(rows)

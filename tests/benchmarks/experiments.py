@@ -15,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hexmap.experiments.timing import median_seconds
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.metrics import distortion
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.paper.cases import about_axis
-from tests.benchmarks._timing import median_seconds, table, versions
+from tests.benchmarks._common import table, versions
 from tests.benchmarks.voxels import hall, stairs
 
 
@@ -48,21 +49,21 @@ def obvious(points: np.ndarray, name: str, resolution: float) -> tuple[int, floa
 
 
 def rotation(points: np.ndarray, resolution: float = 0.1) -> None:
-    """Time the 36 turns on three lattices, ours against the obvious numpy."""
+    """Time 36 rotations on three lattices, ours against the obvious numpy."""
     lattices = {name: Lattice.named(name, resolution) for name in ("Z3", "D3", "D3*")}
 
     def ours() -> list[tuple[int, float]]:
         found = []
         for degrees in range(0, 180, 5):
-            turned = about_axis("z", degrees, 3).apply(points)
-            found += [(len(VoxelList.from_points(turned, v)), distortion(turned, v)) for v in lattices.values()]
+            rotated = about_axis("z", degrees, 3).apply(points)
+            found += [(len(VoxelList.from_points(rotated, v)), distortion(rotated, v)) for v in lattices.values()]
         return found
 
     def plain() -> list[tuple[int, float]]:
         found = []
         for degrees in range(0, 180, 5):
-            turned = about_axis("z", degrees, 3).apply(points)
-            found += [obvious(turned, name, resolution) for name in lattices]
+            rotated = about_axis("z", degrees, 3).apply(points)
+            found += [obvious(rotated, name, resolution) for name in lattices]
         return found
 
     same = sum(abs(a[0] - b[0]) <= 2 for a, b in zip(ours(), plain(), strict=True))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from hexmap.io.trajectories import read_relations, read_tum
 from localisation.evaluation import evaluate_relations
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 SECONDS_OF_INTEL = 2691.0
 

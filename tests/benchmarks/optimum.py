@@ -14,18 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hexmap.io.grids.grid_map import FREE
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import read_scenario
+from hexmap.maps.cell_state import CellState
 from planners.any_angle.optimum import AnyAngleOptimum
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 MAPS = ("arena", "brc202d", "Berlin_0_512", "random512-25-0", "maze512-8-0", "AR0011SR", "den520d")
 
 
 def measure(folder: Path, name: str, problems: int) -> list[object]:
     """Return a row of the table."""
-    free = open_grid(folder / f"{name}.map").states == FREE
+    free = open_grid(folder / f"{name}.map").states == CellState.FREE
     scenario = read_scenario(folder / f"{name}.map.scen")
     count = len(scenario.lengths)
     chosen = np.sort(np.random.default_rng(0).permutation(count)[: count if name == "arena" else problems])

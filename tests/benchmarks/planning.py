@@ -30,10 +30,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
+from hexmap.experiments.timing import median_seconds
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
 from planners import astar, dijkstra
-from tests.benchmarks._timing import data_folder, median_seconds, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 FIELDS = (
     ("A2", 6, (1024, 1024)),

@@ -17,21 +17,21 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.experiments.run_cases import run_cases
-from planners.benchmark.cases import ruler_case
-from planners.benchmark.course import open_course, publishers_roots
+from planners.benchmark.cases import baseline_case
+from planners.benchmark.problem_set import open_problem_set, publishers_roots
 from planners.benchmark.settings import BenchmarkSettings
-from tests.benchmarks._timing import data_folder, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 _CHUNK = 100
 
 
 def published(path: Path, folder: Path, workers: int) -> tuple[list[object], list[tuple[int, str, float]]]:
     """Return a row of the table, and the problems that differ: number, published, ours."""
-    course = open_course(path, BenchmarkSettings(queries=10**9))
-    world, count = course.world, len(course.texts)
+    problems = open_problem_set(path, BenchmarkSettings(queries=10**9))
+    grid_map, count = problems.grid_map, len(problems.texts)
     shared = {
-        "states": world.states, "cell": 1.0, "origin": np.full(world.dim, -0.5), "yaw": 0.0,
-        "starts": course.starts, "goals": course.goals,
+        "states": grid_map.states, "cell": 1.0, "origin": np.full(grid_map.dim, -0.5), "yaw": 0.0,
+        "starts": problems.starts, "goals": problems.goals,
     }  # fmt: skip
     cases = [{"first": a, "last": min(a + _CHUNK, count)} for a in range(0, count, _CHUNK)]
     begin = time.monotonic()
@@ -39,13 +39,13 @@ def published(path: Path, folder: Path, workers: int) -> tuple[list[object], lis
     def progress(done: int, total: int) -> None:
         if sys.stderr.isatty():
             left = (time.monotonic() - begin) / max(done, 1) * (total - done)
-            print(f"\r{path.name}: {done} of {total} parts, {left:.0f} s left ", end="", file=sys.stderr)
+            print(f"\r{path.name}: {done} of {total} chunks, {left:.0f} s left ", end="", file=sys.stderr)
 
-    found = run_cases(ruler_case, cases, shared=shared, folder=folder, workers=workers, progress=progress)
+    found = run_cases(baseline_case, cases, shared=shared, folder=folder, workers=workers, progress=progress)
     seconds = time.monotonic() - begin
-    costs = [math.nan if c is None else c for part in found for c in part["cost"]]
-    roots, equal = publishers_roots([s for part in found for s in part["steps"]], course.texts, course.style)
-    off = [(int(course.problem[k]), course.texts[k], costs[k]) for k in np.flatnonzero(~equal)]
+    costs = [math.nan if c is None else c for chunk in found for c in chunk["cost"]]
+    roots, equal = publishers_roots([s for chunk in found for s in chunk["steps"]], problems.texts, problems.style)
+    off = [(int(problems.problem[k]), problems.texts[k], costs[k]) for k in np.flatnonzero(~equal)]
     return [path.name, count, count - len(off), len(off), roots, seconds], off
 
 

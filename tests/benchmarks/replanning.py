@@ -20,7 +20,7 @@ from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
 from planners import NoPath, astar
 from planners.replanning.replanner import Replanner
-from tests.benchmarks._timing import table, versions
+from tests.benchmarks._common import table, versions
 
 SETTINGS = [("A2", None, 1024), ("Z2", 8, 1024), ("D3", 12, 96), ("D3*", 8, 96), ("Z3", 26, 96)]
 HILLY = [("A2", None, 512)]

@@ -13,9 +13,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
+from hexmap.experiments.timing import median_seconds
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
-from tests.benchmarks._timing import data_folder, median_seconds, table, versions
+from tests.benchmarks._common import data_folder, table, versions
 
 SPATIAL = ("Z3", "D3", "D3*", "A2xZ")
 

@@ -15,11 +15,11 @@ from hexmap.cli import console, main
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan import map_source as _plan_ground
 from hexmap.graph.lattice_graph import LatticeGraph
-from hexmap.io.grids.grid_map import BLOCKED
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.map_file import load_map, save_map
 from hexmap.lattice._kernels import quantise_2d
 from hexmap.lattice.lattice import NAMES, Lattice
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 from planners import astar
@@ -274,7 +274,7 @@ def test_the_disc_of_the_robot_keeps_off_the_cells_of_the_source(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, lattice: str, ends: tuple[object, ...]
 ) -> None:
     world = open_grid(folder / name)
-    blocked = np.argwhere(world.states == BLOCKED).astype(float)
+    blocked = np.argwhere(world.states == CellState.OCCUPIED).astype(float)
     low, high = world.centre(blocked - 0.5), world.centre(blocked + 0.5)
     csv = tmp_path / "path.csv"
     arguments = ("plan", folder / name, *ends, "--lattice", lattice, "-o", csv, "--resolution", 0.5 * world.cell)
@@ -456,10 +456,13 @@ def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((own, "--from", 1, "--to", 1, 1), "two or three finite numbers of metres, not '1'"),
         ((own, "--from", 1, 2, 3, 4, "--to", 1, 1), "'1,2,3,4'"),
         ((own, "--from", "here", "--to", 1, 1), "'here'"),
-        ((own, "--from=nan,0", "--to", 1, 1), "'--from': a place takes finite numbers of metres, not nan"),
-        ((own, "--from", 0, 0, "--to", 1, "nan"), "'--to': a place takes finite numbers of metres, not nan"),
-        ((own, "--from", 0, "-Infinity", "--to", 1, 1), "'--from': a place takes finite numbers of metres, not -Inf"),
-        ((own, "--from", 0, 0, "--to", 1, 1e999), "'--to': a place takes finite numbers of metres, not inf"),
+        ((own, "--from=nan,0", "--to", 1, 1), "'--from': a position takes finite numbers of metres, not nan"),
+        ((own, "--from", 0, 0, "--to", 1, "nan"), "'--to': a position takes finite numbers of metres, not nan"),
+        (
+            (own, "--from", 0, "-Infinity", "--to", 1, 1),
+            "'--from': a position takes finite numbers of metres, not -Inf",
+        ),
+        ((own, "--from", 0, 0, "--to", 1, 1e999), "'--to': a position takes finite numbers of metres, not inf"),
         ((own, *way, "--from", 1, 0), "--from is given twice"),
         ((own, "--to=1,0", *way), "--to is given twice"),
         ((own, "--from", 0, "x", "--to", 1, 1), "x"),
@@ -477,7 +480,7 @@ def test_wrong_usage(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         ((own, *way, "--clearance-reach", 1), "--clearance-weight"),
         ((own, *way, "--whole"), "--picture"),
         ((own, *way, "--radius", "wide"), "--radius"),
-        ((), "world"),
+        ((), "map"),
     ]
     for arguments, word in cases:
         assert word in wrong_usage(capsys, "plan", *arguments), arguments

@@ -295,7 +295,7 @@ def test_the_nearest_face_is_shown(case: Case, monkeypatch: pytest.MonkeyPatch) 
 
     def spy(*arguments: object) -> None:
         rasterise(*arguments)
-        seen["shown"] = arguments[-2].copy()  # type: ignore[attr-defined]
+        seen["shown"] = arguments[-1].shown.copy()  # type: ignore[attr-defined]
 
     monkeypatch.setattr(kernels, "rasterise", spy)
     view = directions(-110.0, 25.0)

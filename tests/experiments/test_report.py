@@ -1,4 +1,4 @@
-"""Reports: the same bytes from the same pieces, whole in every format, and nothing that breaks out of its cell."""
+"""Reports: the same bytes from the same elements, whole in every format, and nothing that breaks out of its cell."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from hexmap.base.errors import ArgumentError, FileAccessError
+from hexmap.experiments.report.elements import Verdict
 from hexmap.experiments.report.figures import figure_style
 from hexmap.experiments.report.numbers import format_interval, format_number
-from hexmap.experiments.report.pieces import Verdict
 from hexmap.experiments.report.report import Report
 from hexmap.experiments.statistics import Interval
 
@@ -122,7 +122,7 @@ def table(path: Path) -> list[dict[str, str]]:
 # ---------------------------------------------------------------------- files
 
 
-def test_the_same_pieces_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+def test_the_same_elements_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     paths = report().write(tmp_path)
     names = ["report.html", "report.md", "summary.csv", "counts.png", "counts.pdf", "verdicts.csv"]
     assert [path.name for path in paths] == names and sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
@@ -131,10 +131,10 @@ def test_the_same_pieces_give_the_same_bytes(folder: Path, tmp_path: Path) -> No
 
 
 def test_writing_again_replaces_and_leaves_the_rest(tmp_path: Path) -> None:
-    (tmp_path / "report.html").write_text("old")
+    (tmp_path / "report.html").write_text("what was here before")
     (tmp_path / "mine.txt").write_text("mine")
     Report("Short").write(tmp_path)
-    assert "old" not in (tmp_path / "report.html").read_text()
+    assert "what was here before" not in (tmp_path / "report.html").read_text()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt", "report.html", "report.md"]
 
 
@@ -309,7 +309,7 @@ def test_a_column_has_one_number_of_decimals(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- what is refused
 
 
-def test_wrong_pieces_are_refused() -> None:
+def test_wrong_elements_are_refused() -> None:
     made = Report("x")
     made.table("one", [{"a": 1}])
     for name in ("one", "ONE.csv", "", "../up", "a/b", "a b", ".hidden", "ä"):

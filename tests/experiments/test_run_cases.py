@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import mmap
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Mapping
-from multiprocessing import active_children
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,7 @@ from hexmap.experiments.statistics import (
     mean,
 )
 from hexmap.maps.metrics import coefficient_of_variation, interquartile_variability
+from tests.observing import PATIENCE, wait_until
 
 Case = dict[str, Any]
 Shared = Mapping[str, Any]
@@ -60,12 +64,26 @@ def fail(case: Case, rng: np.random.Generator, shared: Shared) -> dict[str, Any]
             raise BoundsError("the index 9 does not fit")
         if kind == "exit":
             os._exit(7)
+        if kind == "sys.exit":
+            sys.exit(5)
+        if kind == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
         if kind == "result":
             return {"set": {1, 2}}
         if kind == "list":
             return [1]  # type: ignore[return-value]
         raise ZeroDivisionError("it\nbroke")
+    if case["k"] == 60:
+        time.sleep(60)
     return {"k": case["k"]}
+
+
+def mapped(case: Case, rng: np.random.Generator, shared: Shared) -> dict[str, Any]:
+    time.sleep(0.1)
+    owner: Any = shared["points"]
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    return {"pid": os.getpid(), "array": id(shared["points"]), "mapped": isinstance(owner, mmap.mmap)}
 
 
 def spoil(case: Case, rng: np.random.Generator, shared: Shared) -> dict[str, Any]:
@@ -142,6 +160,74 @@ def test_workers_are_single_threaded_processes() -> None:
     assert dict(os.environ) == before
     # Neither running nor a zombie; the process that stays is Python's own, for shared resources.
     assert not {o["pid"] for o in out} & (children(os.getpid()) | {c.pid for c in active_children()})
+
+
+def test_large_shared_data_is_mapped_once_by_each_worker(shared: dict[str, Any]) -> None:
+    out = run_cases(mapped, [{"k": k} for k in range(6)], shared=shared, workers=2)
+    assert all(o["mapped"] for o in out)
+    assert len({o["pid"] for o in out}) == 2 == len({(o["pid"], o["array"]) for o in out})
+
+
+# ---------------------------------------------------------------------- any executor
+
+
+class Inline:
+    """The least that an executor is: computes at once, and remembers what it was sent."""
+
+    def __init__(self) -> None:
+        self.sent: list[int] = []
+        self.closed = False
+
+    def submit(self, function: Callable[..., str], /, *args: Any) -> Future[str]:
+        self.sent.append(len(pickle.dumps((function, args))))
+        future: Future[str] = Future()
+        try:
+            future.set_result(function(*args))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def shutdown(self, wait: bool = True) -> None:
+        self.closed = True
+
+
+def test_any_executor_gives_the_same_bits(shared: dict[str, Any], tmp_path: Path) -> None:
+    alone = run_cases(turn, CASES, shared=shared, seed=4)
+    inline = Inline()
+    with ThreadPoolExecutor(2) as threads, ProcessPoolExecutor(2, get_context("spawn")) as processes:
+        executors: list[Any] = [inline, threads, processes]
+        for i, executor in enumerate(executors):
+            steps: list[tuple[int, int]] = []
+            folder = tmp_path / str(i)
+            found = run_cases(
+                turn, CASES, shared=shared, seed=4, executor=executor, folder=folder,
+                progress=lambda *s, steps=steps: steps.append(s),
+            )  # fmt: skip
+            assert repr(found) == repr(alone)
+            assert steps == [(k, 12) for k in range(13)]
+            assert list(folder.iterdir()) == journals(folder)
+            # It is not shut down, and serves again; what the journal has is not computed again.
+            assert run_cases(turn, CASES[:3], shared=shared, executor=executor) == run_cases(
+                turn, CASES[:3], shared=shared
+            )
+            assert run_cases(turn, CASES, shared=shared, seed=4, executor=executor, folder=folder) == alone
+    assert len(inline.sent) == 15 and max(inline.sent) < 500 and not inline.closed
+
+
+def test_what_fails_on_any_executor_is_named(tmp_path: Path) -> None:
+    cases = [{"k": k} for k in (0, 1, 2, 3)]
+    inline: Any = Inline()
+    with pytest.raises(CaseError, match=r'^case {"k":3}: ZeroDivisionError: it broke$'):
+        run_cases(fail, cases, executor=inline, folder=tmp_path)
+    (journal,) = journals(tmp_path)
+    assert len(journal.read_text().splitlines()) == 4
+    with pytest.raises(BoundsError, match=r"^the index 9 does not fit$"):
+        run_cases(fail, [{"k": 3, "kind": "hexmap"}], executor=inline)
+    with (
+        ProcessPoolExecutor(1, get_context("spawn")) as processes,
+        pytest.raises(CaseError, match="the executor broke: A process in the process pool"),
+    ):
+        run_cases(fail, [{"k": 3, "kind": "exit"}], executor=processes)
 
 
 # ---------------------------------------------------------------------- the journal
@@ -261,6 +347,30 @@ def test_a_worker_that_dies_is_noticed() -> None:
     with pytest.raises(CaseError, match=r'case {"k":3,"kind":"exit"}|case {"k": 3.*') as caught:
         run_cases(fail, [{"k": 1}, {"k": 3, "kind": "exit"}, {"k": 2}], workers=2)
     assert "exit code 7" in str(caught.value)
+    with pytest.raises(CaseError, match=r'^case {"k":3,"kind":"sys.exit"}: SystemExit: 5$'):
+        run_cases(fail, [{"k": 1}, {"k": 3, "kind": "sys.exit"}], workers=2)
+    with pytest.raises(CaseError, match=r"killed by signal 9\); if memory ran out, use fewer workers$"):
+        run_cases(fail, [{"k": 1}, {"k": 3, "kind": "kill"}, {"k": 60}], workers=2)
+
+
+@pytest.mark.parametrize("kind", ["broken", "exit"])
+def test_a_run_that_fails_does_not_wait_for_the_other_workers(kind: str) -> None:
+    begin = time.monotonic()
+    with pytest.raises(CaseError, match=r'case {"k":3,"kind":"(broken|exit)"}: '):
+        run_cases(fail, [{"k": 60}, {"k": 3, "kind": kind}, *({"k": k} for k in range(4, 20))], workers=2)
+    assert time.monotonic() - begin < 30
+    assert not [child for child in active_children() if child.is_alive()]
+
+
+def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    head, _, _ = textwrap.dedent(SCRIPT).partition("if __name__")
+    script.write_text(head + "run_cases(slow, [{'k': k} for k in range(4)], workers=2, shared={'seconds': 0.0})\n")
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    run = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True, timeout=60)
+    assert run.returncode == 1
+    last = run.stderr.strip().splitlines()[-1]
+    assert "CaseError: a worker died before it began (exit code 1)" in last and "__main__" in last
 
 
 def test_shared_data_cannot_be_changed() -> None:
@@ -351,22 +461,19 @@ def test_ctrl_c_loses_nothing_and_leaves_nobody(tmp_path: Path, workers: int) ->
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     progress = tmp_path / "progress"
-    begin = time.monotonic()
-    while not (progress.exists() and progress.read_text() and int(progress.read_text().split()[0]) >= 3):
-        assert run.poll() is None and time.monotonic() - begin < 60, run.communicate()
-        time.sleep(0.01)
+
+    def three_are_done() -> bool:
+        assert run.poll() is None, run.communicate()
+        return progress.exists() and int((progress.read_text() or "0").split()[0]) >= 3
+
+    wait_until(three_are_done)
     family = children(run.pid)
     assert len(family) >= (workers if workers > 1 else 0)
-    at = time.monotonic()
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes of the group
-    _, errors = run.communicate(timeout=20)
-    assert time.monotonic() - at < 2.0
+    _, errors = run.communicate(timeout=PATIENCE)
     assert run.returncode == 130 and (tmp_path / "stopped").exists()
     assert errors == ""
-    begin = time.monotonic()
-    while any(runs(pid) for pid in family):
-        assert time.monotonic() - begin < 1
-        time.sleep(0.01)
+    wait_until(lambda: not any(runs(pid) for pid in family))
     (journal,) = journals(tmp_path / "journal")
     finished = len(journal.read_text().splitlines()) - 1
     assert int(progress.read_text().split()[0]) <= finished < 12
@@ -387,17 +494,16 @@ def test_workers_do_not_outlive_a_killed_run(tmp_path: Path) -> None:
     command = [sys.executable, str(script), str(tmp_path), "2", "30"]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "TMPDIR": str(tmp_path)}
     run = subprocess.Popen(command, env=environment, start_new_session=True)
-    begin = time.monotonic()
-    while len(family := children(run.pid)) < 3:  # two workers and what looks after their resources
-        assert run.poll() is None and time.monotonic() - begin < 60
-        time.sleep(0.05)
+
+    def family_of_three() -> set[int]:  # two workers and what looks after their resources
+        assert run.poll() is None
+        return family if len(family := children(run.pid)) >= 3 else set()
+
+    family = wait_until(family_of_three)
     time.sleep(1.0)
     run.kill()
     run.wait()
-    begin = time.monotonic()
-    while any(runs(pid) for pid in family):
-        assert time.monotonic() - begin < 10
-        time.sleep(0.05)
+    wait_until(lambda: not any(runs(pid) for pid in family))
 
 
 # ---------------------------------------------------------------------- intervals

@@ -420,7 +420,7 @@ def test_clearance_is_exact(case, monkeypatch):
         expected = states.ravel() & ~(away < radius * (1 - 1e-9))
         wide = graph.with_clearance(radius)
         assert (wide.free[flat] == expected).all()
-        monkeypatch.setattr("hexmap.graph.lattice_graph._BALL", 0)  # the search tree instead
+        monkeypatch.setattr("hexmap.graph.clearance._BALL", 0)  # the search tree instead
         assert (graph.with_clearance(radius).free == wide.free).all()
         monkeypatch.undo()
         # What was blocked for the radius is no obstacle: the clearance stays that from the walls.
@@ -504,7 +504,7 @@ def test_clearance_to_cells_is_exact(case, monkeypatch):
     for radius in (0.0, *radii[:: max(len(radii) // 5, 1)], 0.7 * scale, 1.9 * scale):
         wide = graph.with_clearance(radius, to="cell")
         assert np.array_equal(wide.free[flat] != 0, free & ~(found[flat] < radius * (1 - 1e-9)))
-        monkeypatch.setattr("hexmap.graph.lattice_graph._BALL", 0)  # the search tree instead
+        monkeypatch.setattr("hexmap.graph.clearance._BALL", 0)  # the search tree instead
         assert np.array_equal(graph.with_clearance(radius, to="cell").free, wide.free)
         monkeypatch.undo()
         assert np.array_equal(wide.clearance("cell"), found)

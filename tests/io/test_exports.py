@@ -18,10 +18,13 @@ from hexmap.io import ros_map
 from hexmap.io.exports import export, export_csv, export_ply
 from hexmap.io.ros_map import export_ros
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Level, Map
-from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN, StateRule
+from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
 from tests.lattices import CASES, EXAMPLES, PLANAR, SPATIAL, Case
+
+UNKNOWN, FREE, OCCUPIED = CellState
 
 planar = pytest.mark.parametrize("case", PLANAR, ids=str)
 spatial = pytest.mark.parametrize("case", SPATIAL, ids=str)

@@ -18,7 +18,7 @@ from hexmap.maps.state_rule import StateRule
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Odometry, Scan
 from hexmap.poses.trajectory import Trajectory
-from hexmap.simulator.buildings import world
+from hexmap.simulator.buildings import make_building
 from hexmap.simulator.events import OdometryNoise
 from hexmap.simulator.laser import Laser
 from hexmap.simulator.writer import write_log
@@ -34,7 +34,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A log of a drive through the room, and its true poses."""
     folder = tmp_path_factory.mktemp("drive")
     log, truth = folder / "room.clf", folder / "room.tum"
-    write_log(log, world("room"), truth, seed=3)
+    write_log(log, make_building("room"), truth, seed=3)
     return log, truth
 
 
@@ -77,7 +77,7 @@ def test_it_works_without_odometry(drive: tuple[Path, Path]) -> None:
 
 def test_a_log_without_odometry_lines_uses_the_laser_lines_own_fields(tmp_path: Path) -> None:
     log, truth = tmp_path / "a.clf", tmp_path / "a.tum"
-    write_log(log, world("room"), truth, odometry=OdometryNoise(rate=0), seed=1, duration=20.0)
+    write_log(log, make_building("room"), truth, odometry=OdometryNoise(rate=0), seed=1, duration=20.0)
     result, trajectory, _ = run(log)
     assert result.odometry == 0
     assert absolute_error(read_tum(truth), trajectory, "order").translation.mean < 0.03
@@ -129,7 +129,7 @@ def test_the_mount_of_the_laser_is_taken_off(tmp_path: Path) -> None:
     maps = []
     for laser, settings in ((Laser(), {}), (Laser(mount=mount), {"mount": (0.25, 0.1, math.pi / 2)})):
         log, truth = tmp_path / "m.clf", tmp_path / "m.tum"
-        write_log(log, world("room"), truth, laser=laser, seed=2, duration=30.0)
+        write_log(log, make_building("room"), truth, laser=laser, seed=2, duration=30.0)
         maps.append(fuse_log(open_log(log), read_tum(truth), MappingSettings(**settings)).map)
     a, b = (m.state(level=1).occupied for m in maps)
     assert a.count_coincident(b) > 0.6 * min(len(a), len(b))
@@ -148,6 +148,26 @@ def test_a_wrong_turn_of_the_wheels_is_found_again() -> None:
     wrong = Pose.planar(0.3, 0.1, 0.2 + math.radians(60.0))
     ((_, found, is_scan),) = mapper.add(Scan(1.0, truth.inverse().apply(walls), odometry=wrong))
     assert is_scan and found.is_close(truth, metres=0.03, radians=0.02)
+
+
+@pytest.mark.parametrize(("better", "moves"), [(20, False), (120, True)], ids=["a little", "clearly"])
+def test_a_wider_search_must_beat_the_narrower_one_clearly(better: int, moves: bool) -> None:
+    """Most of a scan is new, the rest agrees with the map at the prediction, and better still a metre away."""
+    rng = np.random.default_rng(4)
+
+    def ring(count: int, nearest: float, farthest: float) -> np.ndarray:
+        """Points far enough away that few beams pass through the cells of others."""
+        bearing, distance = rng.uniform(0.0, 2.0 * math.pi, count), rng.uniform(nearest, farthest, count)
+        return np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=1)
+
+    here, only_away, new = ring(200, 8.0, 10.0), ring(better, 8.0, 10.0), ring(320, 20.0, 24.0)
+    away = Lattice.named("A2", 0.1).centres([[8, -10]])[0]  # of the level that is searched
+    mapper = ScanMapper(MappingSettings(search_radians=0.0))
+    list(mapper.add(Scan(0.0, np.concatenate([here, here + away, only_away + away]), odometry=Pose.identity(2))))
+    scan = np.concatenate([here, only_away, new])
+    ((_, found, _),) = mapper.add(Scan(1.0, scan, odometry=Pose.identity(2)))
+    expected = Pose.planar(*away, 0.0) if moves else Pose.identity(2)
+    assert found.is_close(expected, metres=0.05, radians=0.01)
 
 
 def test_readings_between_scans_share_the_correction() -> None:

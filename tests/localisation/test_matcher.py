@@ -19,7 +19,7 @@ from hexmap.poses.scan import Scan
 from localisation.matching.local_matcher import ScanMatcher
 from localisation.matching.occupancy import CounterOccupancy, ListOccupancy
 from localisation.matching.search_region import SearchWindow, shifts_in_ball
-from tests.lattices import CASES, Case
+from tests.lattices import CASES, EXAMPLES, Case
 
 
 def room(dim: int, count: int, seed: int) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_the_best_pose_of_the_window_is_never_lost(case: Case, seed: int) -> Non
 
 
 @given(x=st.floats(-0.3, 0.3), y=st.floats(-0.3, 0.3), theta=st.floats(-0.3, 0.3), name=st.sampled_from(["Z2", "A2"]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=EXAMPLES // 2, deadline=None)
 def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: str) -> None:
     lattice = Lattice.named(name, 0.05)
     walls = room(2, 4000, 1)
@@ -98,6 +98,26 @@ def test_a_scan_is_found_in_space(name: str) -> None:
         scan, Pose.identity(3), ListOccupancy(VoxelList.from_points(walls, lattice))
     )
     assert match is not None and match.pose.is_close(truth, metres=0.1, radians=0.03)  # half a cell
+
+
+@pytest.mark.parametrize("name", ["Z2", "A2"])
+def test_a_pose_refined_far_beyond_the_search_falls_back_to_the_searched_one(name: str) -> None:
+    """A scan of one short wall 50 m away: turning by a hundredth of a radian to fit it moves the robot by metres."""
+    lattice = Lattice.named(name, 0.1)
+    along = np.linspace(-2.0, 2.0, 400)
+    wall = np.stack([along, np.full(400, 50.0)], axis=1)
+    window = SearchWindow(0.2, 0.004)
+    for slant in (0.0005, 0.05):  # how much the wall of the map is turned about its middle
+        turned = np.stack([along, 50.0 + slant * along + 0.02], axis=1)
+        world = ListOccupancy(VoxelList.from_points(turned, lattice))
+        searched = ScanMatcher(window, refine=False).match(wall, Pose.identity(2), world)
+        refined = ScanMatcher(window).match(wall, Pose.identity(2), world)
+        assert searched is not None and refined is not None
+        moved = float(np.linalg.norm(refined.pose.translation - searched.pose.translation))
+        if slant == 0.05:
+            assert refined.pose == searched.pose
+        else:
+            assert 0.0 < moved <= 2.0 * lattice.resolution
 
 
 def test_equal_scores_go_to_the_pose_nearest_to_the_prediction() -> None:

@@ -15,13 +15,16 @@ from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.rays import traverse
 from hexmap.maps.builder import MapBuilder
+from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Level, Map
-from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN, StateRule
+from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from tests import reference
 from tests.lattices import CASES, EXAMPLES, JIT, PLANAR, Case
+
+UNKNOWN, FREE, OCCUPIED = CellState
 
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
 each = pytest.mark.parametrize("case", CASES, ids=str)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from hexmap.cli import main
 from hexmap.io.clouds.read_points import read_points
 from hexmap.lattice.lattice import NAMES, Lattice
 from hexmap.paper.quantiser import quantiser_experiment, uniform_on_cells
-from hexmap.paper.rotation import RotationSettings, rotation_experiment
+from hexmap.paper.rotation import rotation_experiment
+from hexmap.paper.rotation_settings import RotationSettings
 from hexmap.paper.verdicts import mean_path_factor, ties
+from tests.lattices import LONG
 
 
 def rows(folder: Path, name: str) -> dict[str, dict[str, str]]:
@@ -35,6 +39,27 @@ def room3(count: int = 6000, seed: int = 0) -> np.ndarray:
 
 
 SMALL = {"step": 15.0, "random": 12}
+
+
+@pytest.fixture(autouse=True)
+def small_solids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw solids in few pixels, which is where the time goes; the long run draws them in full."""
+    if not LONG:
+        # The package's face has a function of the module's name.
+        module = importlib.import_module("hexmap.drawing.solids.draw_solids")
+        in_full = module.draw_solids
+
+        def in_few(*arguments: Any, **options: Any) -> Path:
+            return in_full(*arguments, **{**options, "size": (160, 120)})
+
+        monkeypatch.setattr(module, "draw_solids", in_few)
+
+
+@pytest.fixture
+def tables_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the figures of a report empty, for tests that read its tables alone; the long run fills them."""
+    if not LONG:
+        monkeypatch.setattr("hexmap.experiments.report.report.render", lambda figure, kind: b"")
 
 
 def test_a_simulated_room_is_steadier_on_every_other_lattice(tmp_path: Path) -> None:
@@ -59,6 +84,7 @@ def test_the_plane_and_a_lattice_of_ones_own(tmp_path: Path) -> None:
     assert spread["A2"] < spread["Z2"]
 
 
+@pytest.mark.usefixtures("tables_only")
 def test_the_numbers_do_not_depend_on_workers_or_interruptions(tmp_path: Path) -> None:
     settings = RotationSettings(resolution=0.4, random=8, step=20.0, lattices=("Z3", "D3"))
     points = room3(1500)
@@ -82,6 +108,7 @@ def test_the_numbers_do_not_depend_on_workers_or_interruptions(tmp_path: Path) -
 
 
 @pytest.mark.data
+@pytest.mark.usefixtures("tables_only")
 def test_the_checked_numbers_of_the_stairs_hall(data_dir: Path, tmp_path: Path) -> None:
     points = read_points(data_dir / "scans3d" / "stairs_hall.pcd").points
     expected = {0.2: {"Z3": 1.69, "D3": 0.81, "D3*": 0.56}, 0.1: {"Z3": 0.76, "D3": 0.28, "D3*": 0.20}}

@@ -33,30 +33,30 @@ def free_window(case: Case, side: int) -> LatticeGraph:
     return LatticeGraph.from_states(case.lattice, [0] * case.dim, np.ones([side] * case.dim, np.uint8))
 
 
-def by_kernel(graph: LatticeGraph, way: list[int]) -> Cells:
-    """The cells touched from the middle of a free window along ``way``, less the middle."""
+def by_kernel(graph: LatticeGraph, v: list[int]) -> Cells:
+    """The cells touched from the middle of a free window along the displacement ``v``, less the middle."""
     middle = graph.first + graph.inner_shape // 2
-    a, b = graph.index_to_flat(np.array([middle, middle + way])).tolist()
+    a, b = graph.index_to_flat(np.array([middle, middle + v])).tolist()
     return {tuple(c) for c in (graph.flat_to_index(touched_cells(graph, a, b)) - middle).tolist()}
 
 
-def by_closed_cells(case: Case, way: list[int]) -> Cells:
+def by_closed_cells(case: Case, v: list[int]) -> Cells:
     """The same by the corner rule's slow function: all cells of the bounding box, one after the other."""
-    return {(0,) * case.dim, tuple(way), *map(tuple, swept_cells(case.lattice, way).tolist())}
+    return {(0,) * case.dim, tuple(v), *map(tuple, swept_cells(case.lattice, v).tolist())}
 
 
-def by_fractions(case: Case, way: list[int]) -> Cells:
+def by_fractions(case: Case, displacement: list[int]) -> Cells:
     """The same in exact numbers, with the Gram matrix that the tests wrote down.
 
     A point t v lies in the closed cell of c where it is no nearer to any other cell: only cells around
     the line can be, so that those of a box are tried on either side.
     """
     n, G = case.dim, case.gram
-    v = np.array(way, dtype=object)
+    v = np.array(displacement, dtype=object)
     faces = case.lattice.faces.astype(object)
     out: Cells = set()
     reach = 2
-    box = [range(min(0, w) - reach, max(0, w) + reach + 1) for w in way]
+    box = [range(min(0, w) - reach, max(0, w) + reach + 1) for w in displacement]
     for cell in itertools.product(*box):
         c = np.array(cell, dtype=object)
         low, high = Fraction(0), Fraction(1)
@@ -71,7 +71,7 @@ def by_fractions(case: Case, way: list[int]) -> Cells:
                 high = Fraction(-1)
         if low <= high:
             out.add(cell)
-    assert n == len(way)
+    assert n == len(displacement)
     return out
 
 
@@ -79,11 +79,11 @@ def by_fractions(case: Case, way: list[int]) -> Cells:
 def test_touched_cells_are_those_of_the_corner_rule(case: Case) -> None:
     near, far = ((5, 30) if case.dim == 2 else (2, 10)) if JIT else (1, 5)
     graph = free_window(case, 2 * far + 40)
-    ways = [list(w) for w in itertools.product(range(-near, near + 1), repeat=case.dim) if any(w)]
+    displacements = [list(w) for w in itertools.product(range(-near, near + 1), repeat=case.dim) if any(w)]
     rng = np.random.default_rng(3)
-    ways += [w for w in rng.integers(-far, far, (int(40 * PART), case.dim), endpoint=True).tolist() if any(w)]
-    for way in ways:
-        assert by_kernel(graph, way) == by_closed_cells(case, way), way
+    displacements += [w for w in rng.integers(-far, far, (int(40 * PART), case.dim), endpoint=True).tolist() if any(w)]
+    for v in displacements:
+        assert by_kernel(graph, v) == by_closed_cells(case, v), v
 
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.integer_gram is not None], ids=str)
@@ -91,14 +91,15 @@ def test_touched_cells_are_exact(case: Case) -> None:
     graph = free_window(case, 40)
     size = 9 if case.dim == 2 else 3
     rng = np.random.default_rng(4)
-    ways = [w for w in rng.integers(-size, size, (int(20 * PART) + 2, case.dim), endpoint=True).tolist() if any(w)]
-    for way in ways:
-        assert by_kernel(graph, way) == by_fractions(case, way), way
+    for v in rng.integers(-size, size, (int(20 * PART) + 2, case.dim), endpoint=True).tolist():
+        if not any(v):
+            continue
+        assert by_kernel(graph, v) == by_fractions(case, v), v
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_long_lines_are_chains_of_short_ones(case: Case) -> None:
-    # Many times a short way touches what that touches, moved along: no rounding error adds up.
+    # A short displacement, many times, touches what that touches, moved along: no rounding error adds up.
     times = 500 if JIT else 50
     short = [3, -2, 1][: case.dim]
     times = times if case.dim == 2 else 30
@@ -144,9 +145,10 @@ def test_looking_at_blocks_of_free_cells_changes_nothing(case: Case) -> None:
     pairs = rng.integers(0, shape, (2, int(3000 * PART), case.dim)) + graph.pad
     inside = np.ones(pairs.shape[1], np.bool_)
     found, looks = [], []
-    for room in (np.empty(0, np.uint8), kernels.rooms(view, graph.free)):
+    distances = kernels.block_distances(view, graph.free)
+    for known in (np.empty(0, np.uint8), distances):
         out = np.zeros(len(inside), np.bool_)
-        looks.append(kernels.sights(view, graph.free, room, pairs[0], pairs[1], inside, out))
+        looks.append(kernels.sights(view, graph.free, known, pairs[0], pairs[1], inside, out))
         found.append(out)
     assert found[0].any() and not found[0].all()
     assert (found[0] == found[1]).all()
@@ -156,7 +158,7 @@ def test_looking_at_blocks_of_free_cells_changes_nothing(case: Case) -> None:
     blocked = np.zeros(wide, bool)
     blocked[tuple(np.argwhere(graph.free.reshape(graph.shape) == 0).T // 4)] = True
     expected = distance_transform_cdt(np.pad(~blocked, 1), metric="chessboard")[(slice(1, -1),) * case.dim]
-    assert (kernels.rooms(view, graph.free).reshape(wide) == expected).all()
+    assert (distances.reshape(wide) == expected).all()
 
 
 def test_lines_that_touch_a_blocked_cell_are_not_free() -> None:

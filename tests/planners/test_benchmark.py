@@ -1,4 +1,4 @@
-"""The planning benchmark: worlds that do not leak, a straight ruler, the same numbers for any number of workers."""
+"""The planning benchmark: maps that do not leak, a baseline check, the same numbers for any number of workers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,15 @@ from typer.testing import CliRunner
 from hexmap.base.errors import ArgumentError
 from hexmap.cli.commands import app
 from hexmap.graph.lattice_graph import LatticeGraph
-from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from planners import astar
 from planners.benchmark.benchmark import planning_benchmark
-from planners.benchmark.cases import Pinches, Walls, grid_coordinates
+from planners.benchmark.results import Results
 from planners.benchmark.run import run_benchmark
 from planners.benchmark.settings import GRIDS, BenchmarkSettings, Grid
+from planners.benchmark.source_map import Pinches, Walls, grid_coordinates
 
 
 def write_map(folder: Path, name: str, free: np.ndarray, seed: int = 0, count: int = 12, add: float = 0.0) -> Path:
@@ -46,10 +49,14 @@ def write_map(folder: Path, name: str, free: np.ndarray, seed: int = 0, count: i
     return path
 
 
-def random_map(seed: int, shape: tuple[int, ...], part: float = 0.3) -> np.ndarray:
-    free = np.random.default_rng(seed).random(shape) >= part
+def random_map(seed: int, shape: tuple[int, ...], blocked: float = 0.3) -> np.ndarray:
+    free = np.random.default_rng(seed).random(shape) >= blocked
     free[tuple([0] * len(shape))] = True
     return free
+
+
+def states_of(free: np.ndarray) -> np.ndarray:
+    return np.where(free, CellState.FREE, CellState.OCCUPIED).astype(np.uint8)
 
 
 SMALL = BenchmarkSettings(
@@ -58,7 +65,7 @@ SMALL = BenchmarkSettings(
 )  # fmt: skip
 
 
-# ---------------------------------------------------------------------- the worlds
+# ---------------------------------------------------------------------- the source map
 
 
 @pytest.mark.parametrize("grid", GRIDS[2] + GRIDS[3], ids=lambda grid: grid.label)
@@ -71,29 +78,29 @@ def test_no_lattice_leaks_through_pinches_at_any_angle(grid: Grid, fraction: int
     rng = np.random.default_rng(fraction)
     for seed in range(6 if n == 2 else 3):
         free = random_map(seed, (14, 11) if n == 2 else (6, 5, 6), 0.45)
-        source = GridMap(free.astype(np.uint8), 1.0, rng.uniform(-1, 1, n))
-        parts, _ = label(free)
+        source = GridMap(states_of(free), 1.0, rng.uniform(-1, 1, n))
+        components, _ = label(free)
         for angle in (0.0, math.pi / 4, float(rng.uniform(0, 6))):
-            world = source.turned(angle)
-            pinches = Pinches(world, reach / fraction)
+            turned = source.turned(angle)
+            pinches = Pinches(turned, reach / fraction)
             graph = LatticeGraph.rasterise(
-                lambda p, w=world, q=pinches: w.free_at(p) & ~q.closed(p), lattice, world.low, world.high,
+                lambda p, m=turned, q=pinches: m.free_at(p) & ~q.closed(p), lattice, turned.low, turned.high,
                 neighbourhood=grid.moves,
             )  # fmt: skip
             nodes = np.flatnonzero(graph.free)
-            cells = world.cell_of(graph.centres(nodes))
-            pairs = np.unique(np.stack([graph.components()[nodes], parts[tuple(cells.T)]], axis=1), axis=0)
-            # No component of the graph holds cells of two parts of the source.
+            cells = turned.cell_of(graph.centres(nodes))
+            pairs = np.unique(np.stack([graph.components()[nodes], components[tuple(cells.T)]], axis=1), axis=0)
+            # No component of the graph holds cells of two components of the source.
             assert len(np.unique(pairs[:, 0])) == len(pairs)
 
 
 def test_without_closing_pinches_hexagons_do_leak() -> None:
-    free = np.array([[1, 0], [0, 1]], np.uint8)
+    free = np.array([[True, False], [False, True]])
     lattice = Lattice.named("A2", 0.5)
     leaks = 0
     for angle in np.linspace(0, math.pi, 13):
-        world = GridMap(free, 1.0, [0.0, 0.0]).turned(float(angle))
-        graph = LatticeGraph.rasterise(world.free_at, lattice, world.low, world.high)
+        grid_map = GridMap(states_of(free), 1.0, [0.0, 0.0]).turned(float(angle))
+        graph = LatticeGraph.rasterise(grid_map.free_at, lattice, grid_map.low, grid_map.high)
         leaks += len(np.unique(graph.components()[graph.free != 0])) == 1
     assert leaks > 0
 
@@ -105,7 +112,7 @@ def test_distance_to_walls_is_that_of_true_squares_and_cubes(shape: tuple[int, .
         rng = np.random.default_rng(seed)
         u = rng.uniform(0, 1, (200, len(shape))) * shape
         u = u[free[tuple(np.minimum(u.astype(int), np.array(shape) - 1).T)]]
-        found = Walls(free.astype(np.uint8)).distance(u)
+        found = Walls(states_of(free)).distance(u)
         blocked = np.argwhere(~np.pad(free, 1)) - 1
         gap = np.maximum(np.abs(u[:, None] - (blocked + 0.5)) - 0.5, 0)
         expected = np.sqrt((gap**2).sum(axis=2)).min(axis=1)
@@ -115,25 +122,29 @@ def test_distance_to_walls_is_that_of_true_squares_and_cubes(shape: tuple[int, .
 
 
 def test_grid_coordinates_undo_the_turn() -> None:
-    world = GridMap(np.ones((5, 7, 3), np.uint8), 0.25, [1.0, -2.0, 0.5]).turned(0.7)
-    cells = np.argwhere(world.states == FREE)
-    np.testing.assert_allclose(grid_coordinates(world, world.centre(cells)), cells + 0.5, atol=1e-12)
+    grid_map = GridMap(np.ones((5, 7, 3), np.uint8), 0.25, [1.0, -2.0, 0.5]).turned(0.7)
+    cells = np.argwhere(grid_map.states == CellState.FREE)
+    np.testing.assert_allclose(grid_coordinates(grid_map, grid_map.centre(cells)), cells + 0.5, atol=1e-12)
 
 
 # ---------------------------------------------------------------------- the run
 
 
-def plain(results: Any) -> str:
+def plain(results: Results) -> str:
     """All numbers of a run but the times, as text."""
     runs = []
-    for head, result in results.runs:
-        answers = {
+    for run in results.runs:
+        about = asdict(run)
+        about["answers"] = {
             name: [None if row is None else {k: v for k, v in row.items() if k != "seconds"} for row in rows]
-            for name, rows in result["answers"].items()
+            for name, rows in about["answers"].items()
         }
-        runs.append([head, answers, result["window"], result["free"]])
-    optimum = [None if v is None else v.tolist() for v in results.optimum]
-    return json.dumps([results.ruler, optimum, runs, results.open], sort_keys=True)
+        del about["memory"]
+        runs.append(about)
+    optima = [None if v is None else v.lengths.tolist() for v in results.optima]
+    baselines = [asdict(baseline) for baseline in results.baselines]
+    free_space = [asdict(check) for check in results.free_space]
+    return json.dumps([baselines, optima, runs, free_space], sort_keys=True)
 
 
 def test_the_same_numbers_for_any_number_of_workers_and_after_an_interruption(tmp_path: Path) -> None:
@@ -158,21 +169,21 @@ def test_the_same_numbers_for_any_number_of_workers_and_after_an_interruption(tm
 def test_lengths_lie_between_the_optimum_and_the_worst_of_the_moves(tmp_path: Path) -> None:
     path = write_map(tmp_path, "random.map", random_map(2, (24, 20), 0.15), count=10)
     results = run_benchmark([path], SMALL)
-    (optimum,) = results.optimum
-    assert optimum is not None and np.isfinite(optimum).all()
-    course = results.courses[0]
-    straight = np.linalg.norm(course.starts - course.goals, axis=1)
-    assert (optimum >= straight - 1e-9).all()
-    octile = np.array(results.ruler[0][0])
-    assert (optimum <= octile + 1e-9).all()
-    for head, result in results.runs:
-        if head["fraction"] > 1:
-            lengths = np.array([row["length"] for row in result["answers"]["astar"]])
+    (optimum,) = results.optima
+    assert optimum is not None and np.isfinite(optimum.lengths).all()
+    problems = results.problem_sets[0]
+    straight = np.linalg.norm(problems.starts - problems.goals, axis=1)
+    assert (optimum.lengths >= straight - 1e-9).all()
+    octile = np.array(results.baselines[0].costs)
+    assert (optimum.lengths <= octile + 1e-9).all()
+    for run in results.runs:
+        if run.fraction > 1:
+            lengths = np.array([answer.length for answer in run.answers["astar"] if answer is not None])
             # Rasterising by centre cuts a corner by a fraction of a cell, no more.
-            assert (lengths > 0.9 * optimum).all() and (lengths < 1.6 * optimum + 2).all()
+            assert (lengths > 0.9 * optimum.lengths).all() and (lengths < 1.6 * optimum.lengths + 2).all()
 
 
-def test_the_report_begins_with_the_ruler(tmp_path: Path) -> None:
+def test_the_report_begins_with_the_baseline_check(tmp_path: Path) -> None:
     path = write_map(tmp_path, "random.map", random_map(3, (24, 20)))
     outcome = planning_benchmark([path], SMALL)
     assert outcome.failures == []
@@ -188,7 +199,7 @@ def test_the_report_begins_with_the_ruler(tmp_path: Path) -> None:
         assert any(f" {grid.label}, edge 1/2" in row[0] for row in rows)
 
 
-def test_a_bent_ruler_fails_the_run_and_is_listed(tmp_path: Path) -> None:
+def test_a_failed_baseline_check_fails_the_run_and_is_listed(tmp_path: Path) -> None:
     path = write_map(tmp_path, "random.map", random_map(3, (24, 20)), add=0.001)
     outcome = planning_benchmark([path], SMALL)
     assert outcome.failures == ["12 of 12 lengths differ from the published ones"]
@@ -209,7 +220,7 @@ def test_maps_without_problems_and_maps_in_space(tmp_path: Path) -> None:
         spatial=(Grid("Z3", 6), Grid("D3*", 8), Grid(((1.0, 0.2, 0.0), (0.0, 1.0, 0.1), (0.1, 0.0, 0.9)), 26)),
     )  # fmt: skip
     results = run_benchmark([plane, solid], settings)
-    assert len(results.courses[0].starts) == len(results.courses[1].starts) == 8
+    assert len(results.problem_sets[0].starts) == len(results.problem_sets[1].starts) == 8
     outcome = planning_benchmark([plane, solid], settings)
     names = [path.name for path in outcome.report.write(tmp_path / "report")]
     assert {"length_2d_2.csv", "length_3d_2.csv", "free_space.csv"} <= set(names)
@@ -219,9 +230,9 @@ def test_maps_without_problems_and_maps_in_space(tmp_path: Path) -> None:
 def test_free_space_agrees_with_the_exact_table(tmp_path: Path) -> None:
     path = write_map(tmp_path, "open.map", np.ones((12, 12), bool), count=8)
     known = {"Z2-4": 1.27324, "Z2-8": 1.054786, "A2-6": 1.102658}
-    for case in run_benchmark([path], SMALL).open:
-        label_of = SMALL.planar[case["lattice"]].label
-        assert case["mean"] == pytest.approx(known[label_of], abs=5 * case["sd"] / math.sqrt(4000) + 5e-4)
+    for check in run_benchmark([path], SMALL).free_space:
+        label_of = SMALL.planar[check.lattice].label
+        assert check.mean == pytest.approx(known[label_of], abs=5 * check.sd / math.sqrt(4000) + 5e-4)
 
 
 @pytest.mark.parametrize(
@@ -297,6 +308,6 @@ def test_every_pair_of_cells_of_the_pinch_table() -> None:
     # Around one corner of four squares only the two diagonals touch in nothing but the corner.
     for pattern in itertools.product((0, 1), repeat=4):
         free = np.array(pattern, np.uint8).reshape(2, 2)
-        world = GridMap(free, 1.0, [0.0, 0.0])
-        closed = bool(Pinches(world, 0.3).closed(np.array([[1.1, 0.9]]))[0])
+        grid_map = GridMap(states_of(free), 1.0, [0.0, 0.0])
+        closed = bool(Pinches(grid_map, 0.3).closed(np.array([[1.1, 0.9]]))[0])
         assert closed == (pattern in ((1, 0, 0, 1), (0, 1, 1, 0)))

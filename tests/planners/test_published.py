@@ -7,37 +7,39 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planners.benchmark.cases import ruler_case
-from planners.benchmark.course import open_course, print_style, publishers_roots, same_to_the_digits
+from planners.benchmark.cases import baseline_case
+from planners.benchmark.problem_set import open_problem_set, print_style, publishers_roots, same_to_the_digits
 from planners.benchmark.settings import BenchmarkSettings
 
 MAPS = [
     *(f"movingai/{name}.map" for name in
       ("arena", "den520d", "AR0011SR", "Berlin_0_512", "brc202d", "maze512-8-0", "random512-25-0")),
-    *(f"warframe/{name}.3dmap.gz" for name in ("Simple", "Complex", "A1")),
+    *(f"warframe/{name}.3dmap.gz" for name in ("Simple", "Complex")),
+    pytest.param("warframe/A1.3dmap.gz", marks=pytest.mark.long),
 ]  # fmt: skip
-# Every problem of these, 200 seeded ones of the others.
+# Every problem of these, that many seeded ones of the others.
 WHOLE = {"movingai/arena.map"}
+SOME = 200
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", MAPS)
 def test_the_published_lengths(data_dir: Path, name: str) -> None:
-    queries = 10**6 if name in WHOLE else 200
-    course = open_course(data_dir / "planning" / name, BenchmarkSettings(queries=queries))
-    world = course.world
+    queries = 10**6 if name in WHOLE else SOME
+    problems = open_problem_set(data_dir / "planning" / name, BenchmarkSettings(queries=queries))
+    grid_map = problems.grid_map
     shared = {
-        "states": world.states, "cell": 1.0, "origin": np.full(world.dim, -0.5), "yaw": 0.0,
-        "starts": course.starts, "goals": course.goals, "threads": 2,
+        "states": grid_map.states, "cell": 1.0, "origin": np.full(grid_map.dim, -0.5), "yaw": 0.0,
+        "starts": problems.starts, "goals": problems.goals, "threads": 2,
     }  # fmt: skip
-    found = ruler_case({"first": 0, "last": len(course.texts)}, np.random.default_rng(0), shared)
-    assert len(found["cost"]) == (len(course.texts) if name in WHOLE else 200)
-    _, equal = publishers_roots(found["steps"], course.texts, course.style)
-    listed = [(int(course.problem[k]), course.texts[k], found["cost"][k]) for k in np.flatnonzero(~equal)]
+    found = baseline_case({"first": 0, "last": len(problems.texts)}, np.random.default_rng(0), shared)
+    assert len(found["cost"]) == (len(problems.texts) if name in WHOLE else SOME)
+    _, equal = publishers_roots(found["steps"], problems.texts, problems.style)
+    listed = [(int(problems.problem[k]), problems.texts[k], found["cost"][k]) for k in np.flatnonzero(~equal)]
     assert listed == []
     # The roots that a publisher used change no length by more than this.
-    ours, theirs = np.array(found["cost"]), np.array([float(text) for text in course.texts])
-    assert np.abs(ours / theirs - 1).max() < 1e-5 or course.style == ("f", 2)
+    ours, theirs = np.array(found["cost"]), np.array([float(text) for text in problems.texts])
+    assert np.abs(ours / theirs - 1).max() < 1e-5 or problems.style == ("f", 2)
 
 
 @pytest.mark.parametrize(

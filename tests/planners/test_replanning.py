@@ -16,6 +16,8 @@ from hexmap.base.errors import ArgumentError
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
 from planners import NoPath, Path, astar
+from planners.replanning import dstar_lite
+from planners.replanning.policy import ReplanningPolicy
 from planners.replanning.replanner import Replanner
 from tests.lattices import CASES, EXAMPLES, JIT, Case
 
@@ -145,23 +147,18 @@ def test_every_change_costs_what_planning_anew_costs(case: Case, neighbourhood: 
         assert (graph.free == before).all()
 
 
-class Impatient(Replanner):
+class Impatient(ReplanningPolicy):
     """One whose searches have budgets that the test sets: none, as much as they need, or any."""
 
-    def __init__(self, graph: LatticeGraph, start: Any, goal: Any, mode: str) -> None:
-        super().__init__(graph, start, goal)
+    def __init__(self, mode: str) -> None:
+        super().__init__()
         self.mode = mode
-        self.keeps = True
         self.draw = np.random.default_rng(8)
 
-    def path(self) -> Path:
+    def search_budget(self, distance: int, *, anew: bool, severed: bool) -> int:
+        self.keep_paths = self.mode == "always" or self.draw.random() < 0.3
         any_budget = int(self.draw.choice([0, 1, 2, 5, 20, 100, 2**40]))
-        self._forced = {"always": 0, "never": 2**40, "at random": any_budget}[self.mode]
-        self.keeps = self.mode == "always" or self.draw.random() < 0.3
-        return super().path()
-
-    def _kept(self, priced: Any) -> Any:
-        return super()._kept(priced) if self.keeps else None
+        return {"always": 0, "never": 2**40, "at random": any_budget}[self.mode]
 
 
 @pytest.mark.parametrize("mode", ["always", "never", "at random"])
@@ -171,7 +168,7 @@ def test_searches_cut_short_are_answered_as_well(case: Case, neighbourhood: Any,
         rng = np.random.default_rng([seed, 3])
         graph = window(case, neighbourhood, rng, float(rng.choice([0.1, 0.3])), terrain=seed == 1)
         start, goal = graph.first + rng.integers(0, graph.inner_shape, (2, case.dim))
-        wander(Impatient(graph, start, goal, mode), graph, start, goal, seed + 10, BARS // 2)
+        wander(Replanner(graph, start, goal, policy=Impatient(mode)), graph, start, goal, seed + 10, BARS // 2)
 
 
 class Changes(RuleBasedStateMachine):
@@ -190,7 +187,7 @@ class Changes(RuleBasedStateMachine):
         self.given = window(case, neighbourhood, rng, obstacles, terrain)
         self.start, self.goal = self.given.first + rng.integers(0, self.given.inner_shape, (2, case.dim))
         self.states = self.given.inner_states().copy()
-        self.robot = Impatient(self.given, self.start, self.goal, mode)
+        self.robot = Replanner(self.given, self.start, self.goal, policy=Impatient(mode))
         self.route: Path | None = None
 
     def cells(self, seeds: list[int]) -> Any:
@@ -310,21 +307,18 @@ def test_a_robot_that_discovers_its_map_arrives(name: str, neighbourhood: int | 
 
 @pytest.mark.skipif(not JIT, reason="slow")
 def test_a_large_map_and_a_queue_that_is_made_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    from planners.replanning import replanner as _replanning
-
-    monkeypatch.setattr(_replanning, "_QUEUE_SLACK", 50)
-    monkeypatch.setattr(_replanning, "_QUEUE_FACTOR", 1)
-    monkeypatch.setattr(_replanning, "_MOST_SHIFT", 2**44)
-    monkeypatch.setattr(_replanning, "_FEW", 10_000)
+    monkeypatch.setattr(dstar_lite, "_QUEUE_SLACK", 50)
+    monkeypatch.setattr(dstar_lite, "_QUEUE_FACTOR", 1)
+    monkeypatch.setattr(dstar_lite, "_MOST_KM", 2**44)
     rng = np.random.default_rng(1)
-    monkeypatch.setattr(_replanning, "_FIRST_LOOK", 8)
     for name, neighbourhood in (("A2", None), ("Z2", 8), ("Z2", 16), ("D3", 18)):
         lattice = Lattice.named(name)
         side = 100 if lattice.dim == 2 else 22
         free = rng.random((side,) * lattice.dim) > 0.3
         graph = LatticeGraph.from_states(lattice, [0] * lattice.dim, free, neighbourhood=neighbourhood)
         start, goal = graph.flat_to_index(np.flatnonzero(graph.free)[[5, -5]])
-        wander(Replanner(graph, start, goal), graph, start, goal, 3, 150)
+        policy = ReplanningPolicy(few=10_000, first_look=8)
+        wander(Replanner(graph, start, goal, policy=policy), graph, start, goal, 3, 150)
 
 
 def test_same_calls_give_the_same_paths() -> None:
@@ -384,22 +378,30 @@ def test_blocked_ends_and_ways_that_open_again() -> None:
     assert (len(robot.path()), robot.path().cost) == (1, 0.0)
 
 
+class Observed(ReplanningPolicy):
+    """One that counts the searches that did not come to their end and those that did."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.searches = {False: 0, True: 0}
+
+    def note_search(self, expansions: int, distance: int, *, anew: bool, ended: bool) -> None:
+        self.searches[ended] += 1
+        super().note_search(expansions, distance, anew=anew, ended=ended)
+
+
 @pytest.mark.skipif(not JIT, reason="slow")
 @pytest.mark.parametrize("terrain", [False, True], ids=["plain", "terrain"])
-def test_a_search_cut_short_goes_on_later(terrain: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    from planners.replanning import replanner as _replanning
-
-    monkeypatch.setattr(_replanning, "_LEAST_BUDGET", 8)
-    monkeypatch.setattr(_replanning, "_PATIENCE", 1e-3)
+def test_a_search_cut_short_goes_on_later(terrain: bool) -> None:
     graph = LatticeGraph.from_states(Lattice.named("A2"), [0, 0], np.random.default_rng(2).random((90, 90)) > 0.2)
     if terrain:
         graph = graph.with_terrain(np.random.default_rng(3).uniform(1.0, 2.0, (90, 90)))
     start, goal = graph.flat_to_index(np.flatnonzero(graph.free)[[3, -3]])
-    robot = Replanner(graph, start, goal)
+    policy = Observed(least_budget=8, patience=1e-3)
+    robot = Replanner(graph, start, goal, policy=policy)
     free = graph.inner_states().copy()
     check(robot, free, start, goal)
     rng = np.random.default_rng(4)
-    cut = ended = 0
     for _ in range(150):
         at = start + rng.integers(0, 7, (12, 2))
         at = at[graph.index_to_flat(at) >= 0]
@@ -409,14 +411,11 @@ def test_a_search_cut_short_goes_on_later(terrain: bool, monkeypatch: pytest.Mon
             free[tuple(cell)] = state
         robot.set_cells(at, states)
         path = check(robot, free, start, goal)
-        if not robot._touched:  # else the last answer still held
-            cut += not robot._final()
-            ended += robot._final()
         if path is not None and rng.random() < 0.3:
             start = path.cells[min(2, len(path) - 1)].astype(np.int64)
             robot.move_to(start)
-    assert cut > 5
-    assert ended > 5
+    assert policy.searches[False] > 5
+    assert policy.searches[True] > 5
 
 
 def test_a_path_is_kept_while_nothing_makes_another_cheaper() -> None:
@@ -448,7 +447,8 @@ def test_a_path_is_kept_while_nothing_makes_another_cheaper() -> None:
 @pytest.mark.skipif(not JIT, reason="slow")
 def test_a_robot_shut_in_does_not_search_the_whole_map() -> None:
     graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((300, 300), np.uint8), neighbourhood=8)
-    robot = Replanner(graph, [5, 5], [290, 290])
+    policy = ReplanningPolicy()
+    robot = Replanner(graph, [5, 5], [290, 290], policy=policy)
     whole = robot.path().cost
     ring = np.argwhere(np.pad(np.zeros((9, 9), int), 1, constant_values=1))
     robot.block(ring)
@@ -456,7 +456,7 @@ def test_a_robot_shut_in_does_not_search_the_whole_map() -> None:
         robot.move_to(start)
         with pytest.raises(NoPath, match="not connected"):
             robot.path()
-    assert robot._effort < 10_000
+    assert policy.effort < 10_000
     free = graph.inner_states().copy()
     free[tuple(ring.T)] = 0
     for door in ([0, 4], [10, 10], [4, 10]):

@@ -10,7 +10,7 @@ import pytest
 from hexmap.base.errors import ArgumentError, FileAccessError
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Odometry, Scan
-from hexmap.simulator.buildings import WORLDS, World, world
+from hexmap.simulator.buildings import BUILDINGS, Building, make_building
 from hexmap.simulator.drive import Drive, clearance
 from hexmap.simulator.events import OdometryNoise, simulate
 from hexmap.simulator.laser import NO_RETURN, Laser, cast
@@ -58,9 +58,9 @@ def test_rays_equal_the_reference(seed):
         np.testing.assert_allclose(cast(walls, origin, angles), expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", BUILDINGS)
 def test_rays_in_the_buildings_equal_the_reference(name):
-    w = world(name)
+    w = make_building(name)
     drive = Drive(w.waypoints)
     for x, y, theta in drive.poses(np.linspace(0, drive.duration, 4)):
         angles = theta + np.linspace(-math.pi, math.pi, 61) + 0.003
@@ -117,27 +117,27 @@ def test_rays_refuse_other_shapes_and_nan():
         cast(SQUARE, [math.nan, 0.0], [0.0])
 
 
-# --- worlds and drives --------------------------------------------------------------------------------------------
+# --- buildings and drives --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", BUILDINGS)
 def test_drives_keep_clear_of_walls(name):
-    w = world(name)
+    w = make_building(name)
     drive = Drive(w.waypoints)
     assert clearance(drive, w.walls, every=0.02) >= 0.3
     assert clearance(Drive(w.waypoints, speed=1.0), w.walls) >= 0.3
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", BUILDINGS)
 def test_drives_are_continuous_and_keep_their_limits(name):
-    drive = Drive(world(name).waypoints, speed=0.5, turn_rate=0.8)
+    drive = Drive(make_building(name).waypoints, speed=0.5, turn_rate=0.8)
     dt = 0.01
     poses = drive.poses(np.arange(0.0, drive.duration, dt))
     steps = np.diff(poses, axis=0)
     assert np.hypot(steps[:, 0], steps[:, 1]).max() <= 0.5 * dt + 1e-9
     assert np.abs(steps[:, 2]).max() <= 0.8 * dt + 1e-9
     np.testing.assert_allclose(
-        drive.poses([-1.0, drive.duration + 5.0])[:, :2], world(name).waypoints[[0, -1]], atol=1e-9
+        drive.poses([-1.0, drive.duration + 5.0])[:, :2], make_building(name).waypoints[[0, -1]], atol=1e-9
     )
     # The wheels of a robot do not slip sideways.
     middle = 0.5 * (poses[1:, 2] + poses[:-1, 2])
@@ -146,7 +146,7 @@ def test_drives_are_continuous_and_keep_their_limits(name):
 
 
 def test_the_office_drive_closes_its_loop_and_is_of_a_size_for_a_demonstration():
-    w = world("office")
+    w = make_building("office")
     drive = Drive(w.waypoints)
     assert 120.0 <= drive.length <= 200.0 and 300.0 <= drive.duration <= 480.0
     np.testing.assert_allclose(np.ptp(w.walls.reshape(-1, 2), axis=0), [26.0, 26.0])
@@ -171,23 +171,23 @@ def test_drives_refuse_nonsense():
         Drive([(0, 0), (1, 0)], speed=0.0)
 
 
-def test_unknown_worlds_and_bad_worlds():
+def test_unknown_buildings_and_bad_buildings():
     with pytest.raises(ArgumentError, match="'moon'; known are office, castle, room"):
-        world("moon")
+        make_building("moon")
     with pytest.raises(ArgumentError, match="walls"):
-        World("mine", np.zeros((2, 2)), np.zeros((2, 2)))
+        Building("mine", np.zeros((2, 2)), np.zeros((2, 2)))
     with pytest.raises(ArgumentError, match="finite"):
-        World("mine", np.full((1, 2, 2), np.nan), np.zeros((2, 2)))
+        Building("mine", np.full((1, 2, 2), np.nan), np.zeros((2, 2)))
     with pytest.raises(ValueError, match="read-only"):
-        world("room").walls[0] = 0.0
+        make_building("room").walls[0] = 0.0
 
 
 # --- runs ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", BUILDINGS)
 def test_exact_returns_lie_on_walls_and_nothing_is_seen_behind_one(name):
-    w = world(name)
+    w = make_building(name)
     for simulated in simulate(w, dataclasses.replace(EXACT, rate=0.1)):
         if isinstance(simulated.event, Scan):
             T = simulated.T_map_robot
@@ -212,7 +212,7 @@ def _crossings(origin, points, walls):
 
 
 def test_noise_has_the_size_that_was_asked_for():
-    w = World("box", SQUARE, [(0.0, 0.0), (0.5, 0.0)])
+    w = Building("box", SQUARE, [(0.0, 0.0), (0.5, 0.0)])
     noisy = dataclasses.replace(EXACT, noise=0.02, rate=200.0)
     errors = []
     for seen, true in zip(simulate(w, noisy), simulate(w, dataclasses.replace(noisy, noise=0.0)), strict=True):
@@ -223,14 +223,14 @@ def test_noise_has_the_size_that_was_asked_for():
 
 
 def test_the_default_laser_reports_whole_centimetres():
-    for simulated in simulate(world("room"), duration=2.0):
+    for simulated in simulate(make_building("room"), duration=2.0):
         if simulated.ranges is not None:
             ranges = simulated.ranges[np.isfinite(simulated.ranges)]
             np.testing.assert_allclose(ranges * 100, np.round(ranges * 100), atol=1e-9)
 
 
 def test_missing_returns_and_maximum_range():
-    w = world("room")
+    w = make_building("room")
     lost = [e.event for e in simulate(w, Laser(missing=0.25)) if isinstance(e.event, Scan)]
     assert np.mean([len(scan.no_return) for scan in lost]) == pytest.approx(0.25 * 181, rel=0.03)
     assert all(len(scan.points) + len(scan.no_return) == 181 for scan in lost)
@@ -255,7 +255,7 @@ def test_beams_lie_where_a_reader_of_carmen_logs_expects_them(beams, step, last)
 
 
 def test_a_mounted_laser_sees_from_where_it_sits():
-    w = world("room")
+    w = make_building("room")
     mount = Pose.planar(0.2, 0.05, math.pi / 3)
     laser = dataclasses.replace(EXACT, mount=mount)
     for simulated in simulate(w, laser, duration=3.0):
@@ -266,7 +266,7 @@ def test_a_mounted_laser_sees_from_where_it_sits():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_raw_odometry_drifts_but_is_locally_good(seed):
-    w = world("office")
+    w = make_building("office")
     readings = [e for e in simulate(w, Laser(beams=1, rate=0.01), seed=seed) if isinstance(e.event, Odometry)]
     T_map_odom = readings[0].T_map_robot
     assert readings[0].event.pose.is_close(Pose.identity())
@@ -283,7 +283,7 @@ def test_raw_odometry_drifts_but_is_locally_good(seed):
 
 
 def test_wheels_that_never_err_follow_the_true_poses():
-    readings = list(simulate(world("room"), odometry=OdometryNoise.none()))
+    readings = list(simulate(make_building("room"), odometry=OdometryNoise.none()))
     T_map_odom = readings[0].T_map_robot
     for simulated in readings:
         event = simulated.event
@@ -292,7 +292,7 @@ def test_wheels_that_never_err_follow_the_true_poses():
 
 
 def test_the_drift_does_not_depend_on_the_laser_and_a_short_run_begins_like_a_long_one():
-    w = world("room")
+    w = make_building("room")
     wheels = [e.event.pose for e in simulate(w, duration=20.0) if isinstance(e.event, Odometry)]
     other = [e.event.pose for e in simulate(w, Laser(beams=361)) if isinstance(e.event, Odometry)]
     assert wheels == other[: len(wheels)]
@@ -304,7 +304,7 @@ def test_the_drift_does_not_depend_on_the_laser_and_a_short_run_begins_like_a_lo
 
 
 def test_events_come_in_the_order_of_time_at_their_rates():
-    events = [e.event for e in simulate(world("room"), Laser(rate=4.0), OdometryNoise(rate=10.0), duration=2.0)]
+    events = [e.event for e in simulate(make_building("room"), Laser(rate=4.0), OdometryNoise(rate=10.0), duration=2.0)]
     stamps = [event.stamp for event in events]
     assert stamps == sorted(stamps) and stamps[0] == 0.0
     assert [event.stamp for event in events if isinstance(event, Scan)] == [k / 4 for k in range(9)]
@@ -313,7 +313,7 @@ def test_events_come_in_the_order_of_time_at_their_rates():
 
 
 def test_settings_out_of_range_are_refused_at_once():
-    room = world("room")
+    room = make_building("room")
     for bad in ({"seed": -1}, {"speed": 0.0}, {"speed": math.nan}, {"duration": 0.0}):
         with pytest.raises(ArgumentError):
             simulate(room, **bad)
@@ -337,7 +337,7 @@ def test_settings_out_of_range_are_refused_at_once():
 
 
 def test_the_same_seed_writes_the_same_bytes(tmp_path):
-    w = world("castle")
+    w = make_building("castle")
     for name in ("a.clf", "a.clf.gz"):
         contents = []
         for folder, seed in (("one", 3), ("two", 3), ("three", 4)):
@@ -352,12 +352,12 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path):
 
 
 def test_log_lines_say_what_was_simulated(tmp_path):
-    w = world("room")
+    w = make_building("room")
     mount = Pose.planar(0.1, 0.0, 0.2)
     laser = Laser(beams=361, missing=0.02, mount=mount)
     summary = write_log(tmp_path / "a.clf", w, tmp_path / "a.tum", laser=laser, seed=5, duration=12.0)
     header, *lines = (tmp_path / "a.clf").read_text().splitlines()
-    assert header.startswith("#") and "hexmap" in header and "world room" in header and "seed 5" in header
+    assert header.startswith("#") and "hexmap" in header and "building room" in header and "seed 5" in header
     truth = np.loadtxt(tmp_path / "a.tum")
     events = list(simulate(w, laser, seed=5, duration=12.0))
     assert len(lines) == len(truth) == len(events) == summary.scans + summary.odometry
@@ -389,7 +389,7 @@ def _numbers(pose):
 
 
 def test_a_log_of_the_laser_alone(tmp_path):
-    summary = write_log(tmp_path / "a.clf", world("room"), odometry=OdometryNoise(rate=0.0), duration=2.0)
+    summary = write_log(tmp_path / "a.clf", make_building("room"), odometry=OdometryNoise(rate=0.0), duration=2.0)
     lines = (tmp_path / "a.clf").read_text().splitlines()[1:]
     assert summary.odometry == 0 and summary.truth_path is None
     assert len(lines) == summary.scans == 11 and all(line.startswith("FLASER") for line in lines)
@@ -397,7 +397,7 @@ def test_a_log_of_the_laser_alone(tmp_path):
 
 
 def test_files_that_cannot_be_written(tmp_path):
-    room = world("room")
+    room = make_building("room")
     with pytest.raises(FileAccessError, match="cannot be written"):
         write_log(tmp_path / "nowhere" / "a.clf", room, duration=1.0)
     with pytest.raises(ArgumentError, match="cannot both"):
@@ -414,5 +414,5 @@ def test_an_interrupted_run_leaves_the_old_log(tmp_path, monkeypatch):
 
     monkeypatch.setattr("hexmap.simulator.writer._flaser", stop)
     with pytest.raises(KeyboardInterrupt):
-        write_log(log, world("room"), tmp_path / "a.tum")
+        write_log(log, make_building("room"), tmp_path / "a.tum")
     assert [p.name for p in tmp_path.iterdir()] == ["a.clf.gz"] and log.read_bytes() == b"old"

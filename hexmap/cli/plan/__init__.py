@@ -1,1 +1,1 @@
-"""``hexmap plan`` in four rooms: what is asked, the map it is asked of, the search, the command."""
+"""``hexmap plan`` in four rooms: the query (what is asked), the map source, the search and the command."""

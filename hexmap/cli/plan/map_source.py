@@ -1,4 +1,4 @@
-"""The maps that ``hexmap plan`` plans in: those of hexmap, and those of others."""
+"""The maps that ``hexmap plan`` plans in: maps of hexmap, and grid maps that others made."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ if TYPE_CHECKING:
 _SEARCH_BYTES = 20  # a cell of the window while a search runs: state, terrain, cost, parent and some of the queue
 
 
-def inputs_of(world: Path) -> tuple[Path, ...]:
+def inputs_of(path: Path) -> tuple[Path, ...]:
     """Return all files that are read for a map: itself and what it names."""
-    suffixes = [suffix.lower() for suffix in world.suffixes if suffix.lower() != ".gz"]
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     if suffixes[-1:] not in ([".yaml"], [".yml"]):
-        return (world,)
+        return (path,)
     from hexmap.base.errors import FormatError
     from hexmap.io.grids.ros import image_of
 
     try:
-        return world, image_of(world)
+        return path, image_of(path)
     except FormatError:  # of another kind in spite of its name, or damaged, which reading it will say
-        return (world,)
+        return (path,)
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class PlanningMap:
     """A map ready for planning.
 
     Attributes:
         path: the file.
         graph: its cells, before any radius.
-        state_at: tells for points (N, n), metres, whether they are UNKNOWN, FREE or OCCUPIED (of hexmap.maps).
+        state_at: returns the :class:`~hexmap.maps.CellState` (N,) of points (N, n), metres.
         low, high: corners of what is known, metres.
         source: what to say of the file's own cells.
         has_unknown: whether any cell is unknown.
@@ -61,80 +61,73 @@ class Ground:
     y_down: bool = False
 
 
-def own_ground(path: Path, query: Query, level: int, rule_for: Callable[[Any], Any]) -> Ground:
+def own_map(path: Path, query: Query, level: int, rule_for: Callable[[Any], Any]) -> PlanningMap:
     """Return a level of a map of hexmap."""
     import numpy as np
 
     from hexmap.graph.lattice_graph import LatticeGraph
     from hexmap.io.map_file import load_map
 
-    world = load_map(path)
-    _check_places(path, query, world.lattice.dim)
-    rule = rule_for(world.sources())
+    loaded = load_map(path)
+    _check_dimensions(path, query, loaded.lattice.dim)
+    rule = rule_for(loaded.sources())
     graph = LatticeGraph.from_map(
-        world, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
+        loaded, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
     )
-    states = world.state(rule, level)
+    states = loaded.state(rule, level)
     centres = np.concatenate([states.occupied.centres(), states.free.centres()])
 
     def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
         return states.of(graph.lattice.quantise(points))
 
     room = graph.lattice.covering_radius
-    return Ground(path, graph, state_at, centres.min(axis=0) - room, centres.max(axis=0) + room)
+    return PlanningMap(path, graph, state_at, centres.min(axis=0) - room, centres.max(axis=0) + room)
 
 
-def foreign_ground(
+def foreign_map(
     path: Path, query: Query, lattice: str | None, resolution: float | None, cell: float | None
-) -> Ground:
+) -> PlanningMap:
     """Return a map of others, rasterised onto a lattice."""
     import numpy as np
 
     from hexmap.base.errors import ArgumentError
-    from hexmap.io import grids
+    from hexmap.io.grids.open_grid import open_grid
     from hexmap.lattice.lattice import Lattice, default_name
-    from hexmap.maps.state_rule import FREE, OCCUPIED, UNKNOWN
 
     try:
-        world = grids.open_grid(path, cell=cell)
+        grid = open_grid(path, cell=cell)
     except ArgumentError as error:  # of its arguments only the cell can be wrong
         raise ArgumentError(f"{error}; leave out --cell") from error
-    _check_places(path, query, world.dim)
+    _check_dimensions(path, query, grid.dim)
     # Half a cell in space is eight times the memory, and the walls of an OctoMap are thick.
-    usual = 0.5 * world.cell if world.dim == 2 else world.cell
-    on = Lattice.named(lattice or default_name(world.dim), resolution or usual)
-    if on.dim != world.dim:
-        raise ArgumentError(f"{path}: the map is of dimension {world.dim}, the lattice {on.name} of {on.dim}")
-    low, high = np.asarray(world.low), np.asarray(world.high)
+    usual = 0.5 * grid.cell if grid.dim == 2 else grid.cell
+    on = Lattice.named(lattice or default_name(grid.dim), resolution or usual)
+    if on.dim != grid.dim:
+        raise ArgumentError(f"{path}: the map is of dimension {grid.dim}, the lattice {on.name} of {on.dim}")
+    low, high = np.asarray(grid.low), np.asarray(grid.high)
     _check_size(path, on, low, high)
-    graph = world.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
-    codes = np.zeros(3, np.uint8)
-    codes[[grids.BLOCKED, grids.FREE, grids.UNKNOWN]] = OCCUPIED, FREE, UNKNOWN
-
-    def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        return codes[world.state_at(points)]
-
-    source = f" on cells of {world.cell:g} m"
-    return Ground(path, graph, state_at, low, high, source, world.has_unknown, world.y_down)
+    graph = grid.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
+    source = f" on cells of {grid.cell:g} m"
+    return PlanningMap(path, graph, grid.state_at, low, high, source, grid.has_unknown, grid.y_down)
 
 
-def _check_places(path: Path, query: Query, dim: int) -> None:
-    """Turn down places of another dimension than the map's.
+def _check_dimensions(path: Path, query: Query, dim: int) -> None:
+    """Check that the positions are of the map's dimension.
 
     Raises:
-        ArgumentError: one is.
+        ArgumentError: one is not.
     """
     from hexmap.base.errors import ArgumentError
 
-    for option, place in (("--from", query.start), ("--to", query.goal)):
-        if len(place) != dim:
+    for option, position in (("--from", query.start), ("--to", query.goal)):
+        if len(position) != dim:
             raise ArgumentError(
-                f"{path}: the map is of dimension {dim}; {option} takes {dim} numbers, not {len(place)}"
+                f"{path}: the map is of dimension {dim}; {option} takes {dim} numbers, not {len(position)}"
             )
 
 
 def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Turn down a window that the machine has no memory for, before anything is allocated.
+    """Reject a window that the machine has no memory for, before anything is allocated.
 
     Raises:
         TooLargeError: there is not enough.
@@ -142,9 +135,9 @@ def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: ND
     import numpy as np
 
     from hexmap.base.errors import TooLargeError
+    from hexmap.lattice.window import box_coordinates
 
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, lattice.dim)
-    cells = float(np.prod(np.ptp(corners @ np.linalg.inv(lattice.basis).T, axis=0) + 3.0))
+    cells = float(np.prod(np.ptp(box_coordinates(lattice.basis, low, high), axis=0) + 3.0))
     memory = _available_memory()
     most = min(memory / _SEARCH_BYTES, 2.0**31)
     if cells > most:
@@ -157,7 +150,7 @@ def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: ND
 
 
 def _available_memory() -> float:
-    """Return the bytes that can be allocated without swapping; where nobody says, most of what there is."""
+    """Return the bytes that can be allocated without swapping; where the system does not say, most of what there is."""
     try:
         text = Path("/proc/meminfo").read_text()
     except OSError:

@@ -1,4 +1,4 @@
-"""What is asked of ``hexmap plan``: places, planners, options that go together, numbers in their range."""
+"""What is asked of ``hexmap plan``: positions, planners, options that go together, numbers in their range."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-Place = tuple[float, ...]
-# Such as nan are matched too: they shall be refused as places, not taken for the name of a file.
+Position = tuple[float, ...]
+# Such as nan are matched too: they are rejected as positions, and not taken for the name of a file.
 _NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
 _SIZES = 1e-6, 1e6  # metres that options may ask for
 _MOST_WEIGHT = 1e6  # beyond it costs drown the lengths of the paths
@@ -28,7 +28,7 @@ class Planner(StrEnum):
 
 
 class Unknown(StrEnum):
-    """What cells are that nobody has seen."""
+    """What to take unknown cells for."""
 
     blocked = "blocked"
     free = "free"
@@ -54,7 +54,7 @@ class PlanCommand(TyperCommand):
                 seen.add(name)
             if word in ("--from", "--to"):
                 numbers = []
-                while rest and all(_NUMBER.fullmatch(part) for part in rest[0].rstrip(",").split(",")):
+                while rest and all(_NUMBER.fullmatch(word) for word in rest[0].rstrip(",").split(",")):
                     numbers.append(rest.pop(0).rstrip(","))
                 if numbers:
                     word = f"{word}={','.join(numbers)}"
@@ -62,17 +62,17 @@ class PlanCommand(TyperCommand):
         return super().parse_args(ctx, joined)
 
 
-def parse_place(text: str) -> Place:
-    """Return the numbers of a place."""
+def parse_position(text: str) -> Position:
+    """Return the numbers of a position."""
     try:
-        numbers = tuple(float(part) for part in text.replace(",", " ").split())
+        numbers = tuple(float(word) for word in text.replace(",", " ").split())
     except ValueError:
         numbers = ()
     if len(numbers) not in (2, 3):
-        raise typer.BadParameter(f"a place takes two or three finite numbers of metres, not {text!r}")
+        raise typer.BadParameter(f"a position takes two or three finite numbers of metres, not {text!r}")
     for word, number in zip(text.replace(",", " ").split(), numbers, strict=True):
         if not math.isfinite(number):
-            raise typer.BadParameter(f"a place takes finite numbers of metres, not {word}")
+            raise typer.BadParameter(f"a position takes finite numbers of metres, not {word}")
     return numbers
 
 
@@ -90,14 +90,14 @@ class Query:
     """What is asked of a map, as the options say it.
 
     Attributes:
-        start, goal: places, metres.
+        start, goal: positions, metres.
         planner, weight, bidirectional, shortcut, nearest: how the path is looked for.
         radius, clearance_weight, clearance_reach: how it keeps off occupied cells.
         unknown, neighbourhood: what cells and what moves it may take.
     """
 
-    start: Place
-    goal: Place
+    start: Position
+    goal: Position
     planner: Planner
     weight: float | None
     bidirectional: bool
@@ -111,7 +111,7 @@ class Query:
 
 
 def check_usage(query: Query) -> None:
-    """Turn down options that do not go together."""
+    """Reject options that do not go together."""
     planner = query.planner
     asked = {
         "--weight": query.weight is not None, "--bidirectional": query.bidirectional, "--nearest": query.nearest,
@@ -131,7 +131,7 @@ def check_usage(query: Query) -> None:
 
 
 def check_numbers(query: Query, sizes: dict[str, float | None], min_hits: int | None, min_ratio: float | None) -> None:
-    """Turn down numbers out of their range.
+    """Reject numbers out of their range.
 
     Raises:
         ArgumentError: naming the option and the value.
@@ -153,9 +153,9 @@ def check_numbers(query: Query, sizes: dict[str, float | None], min_hits: int | 
             raise ArgumentError(f"{option} must be {least:.10g} to {most:.10g}{unit}, not {value:.10g}")
 
 
-def in_metres(place: Any) -> str:
+def in_metres(position: Any) -> str:
     """Return a position as a user reads it, such as (1.5, -2)."""
-    return f"({', '.join(f'{round(float(v), 3):g}' for v in place)})"
+    return f"({', '.join(f'{round(float(v), 3):g}' for v in position)})"
 
 
 def counted(number: int, one: str, many: str = "") -> str:

@@ -1,4 +1,4 @@
-"""How ``hexmap plan`` looks for the way, and what it says where there is none."""
+"""How ``hexmap plan`` looks for a path, and what it says where there is none."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from hexmap.cli.plan.map_source import Ground
-from hexmap.cli.plan.query import Place, Planner, Query, Unknown, cell_text, in_metres
+from hexmap.cli.plan.map_source import PlanningMap
+from hexmap.cli.plan.query import Planner, Position, Query, Unknown, cell_text, in_metres
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
     from planners import NoPath
-    from planners import Path as Way
+    from planners import Path as PlannedPath
 
 
-def find_way(ground: Ground, graph: LatticeGraph, query: Query) -> Way:
+def find_path(planning_map: PlanningMap, graph: LatticeGraph, query: Query) -> PlannedPath:
     """Return the path.
 
     Raises:
@@ -25,24 +25,24 @@ def find_way(ground: Ground, graph: LatticeGraph, query: Query) -> Way:
     from planners import NoPath, to_cell
 
     cells = []
-    for option, place in (("--from", query.start), ("--to", query.goal)):
+    for option, position in (("--from", query.start), ("--to", query.goal)):
         try:
-            cells.append(to_cell(graph, place).tolist())
+            cells.append(to_cell(graph, position).tolist())
         except BoundsError as error:
-            raise BoundsError(f"{option}: {in_metres(place)} m is farther away than cells can be counted") from error
+            raise BoundsError(f"{option}: {in_metres(position)} m is farther away than cells can be counted") from error
     run = _planner(query)
     try:
         _warm_up(run, graph)
         return run(graph, *cells)
     except NoPath as error:
-        text, helps = _why(error, ground, graph, query, cells)
+        text, helps = _why(error, planning_map, graph, query, cells)
         if query.nearest or query.planner is not Planner.astar or error.reason.startswith("start"):
             helps.remove("--nearest")
         advice = f"; {' or '.join(helps)} may help" if helps else ""
         raise NoPath(error.reason, text + advice) from error
 
 
-def _planner(query: Query) -> Callable[[LatticeGraph, Any, Any], Way]:
+def _planner(query: Query) -> Callable[[LatticeGraph, Any, Any], PlannedPath]:
     """Return what answers a query of two cells."""
     import planners
 
@@ -53,12 +53,12 @@ def _planner(query: Query) -> Callable[[LatticeGraph, Any, Any], Way]:
         return lambda graph, start, goal: planners.astar(
             graph, start, goal, bidirectional=query.bidirectional, weight=factor, nearest=query.nearest
         )
-    found: Callable[[LatticeGraph, Any, Any], Way]
+    found: Callable[[LatticeGraph, Any, Any], PlannedPath]
     found = planners.any_angle if query.planner is Planner.any_angle else planners.canonical
     return found
 
 
-def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) -> None:
+def _warm_up(run: Callable[[LatticeGraph, Any, Any], PlannedPath], graph: LatticeGraph) -> None:
     """Load or compile the kernels on a handful of cells, so that the search's time is its own."""
     import numpy as np
 
@@ -74,11 +74,10 @@ def _warm_up(run: Callable[[LatticeGraph, Any, Any], Way], graph: LatticeGraph) 
 def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
     """Return the kernels whose compilation the search would wait for longest."""
     from planners.any_angle import _kernels as _anyangle_kernels
-    from planners.search import _astar_kernels as _search_kernels
-    from planners.search import _canonical_kernels
+    from planners.search import _astar_kernels, _bidirectional_kernels, _canonical_kernels
     from planners.search import _dijkstra_kernels as _field_kernels
 
-    heuristic = _search_kernels.search_both if query.bidirectional else _search_kernels.advance
+    heuristic = _bidirectional_kernels.search_both if query.bidirectional else _astar_kernels.run_astar
     alike = graph.equal_edges and graph.terrain is None and len(graph.swept) == 0
     own = {
         Planner.astar: heuristic,
@@ -90,33 +89,33 @@ def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
 
 
 def _why(
-    error: NoPath, ground: Ground, graph: LatticeGraph, query: Query, cells: list[list[int]]
+    error: NoPath, planning_map: PlanningMap, graph: LatticeGraph, query: Query, cells: list[list[int]]
 ) -> tuple[str, list[str]]:
-    """Return why there is no path, with places in metres, and which options may help."""
+    """Return why there is no path, with positions in metres, and which options may help."""
     import numpy as np
 
-    from hexmap.maps.state_rule import UNKNOWN
+    from hexmap.maps.cell_state import CellState
 
     start, goal = query.start, query.goal
     smaller = ["a smaller --radius"] if query.radius > 0.0 else []
-    open_up = ["--unknown free"] if ground.has_unknown and query.unknown is Unknown.blocked else []
+    open_up = ["--unknown free"] if planning_map.has_unknown and query.unknown is Unknown.blocked else []
     at = 0 if error.reason.startswith("start") else 1
     where = f"{in_metres((start, goal)[at])} m, cell {cell_text(cells[at])},"
     if "outside" in error.reason:
         extent = ", ".join(
             f"{axis} from {low:.2f} to {high:.2f} m"
-            for axis, low, high in zip("xyz", ground.low, ground.high, strict=False)
+            for axis, low, high in zip("xyz", planning_map.low, planning_map.high, strict=False)
         )
         return f"{where} and the map has {extent}", ["--nearest"]
     if "blocked" in error.reason:
         cell = np.array([cells[at]])
-        flat = ground.graph.index_to_flat(cell)
+        flat = planning_map.graph.index_to_flat(cell)
         helps = ["--nearest"]
-        if ground.graph.free[flat[0]]:
-            room = float(ground.graph.clearance_at(flat, to="cell")[0])
+        if planning_map.graph.free[flat[0]]:
+            room = float(planning_map.graph.clearance_at(flat, to="cell")[0])
             text = f"{where} is {room:.3g} m from an occupied cell, nearer than the radius of {query.radius:g} m"
             helps += smaller
-        elif ground.state_at(ground.graph.lattice.centres(cell))[0] == UNKNOWN:
+        elif planning_map.state_at(planning_map.graph.lattice.centres(cell))[0] == CellState.UNKNOWN:
             text = f"{where} is unknown"
             helps += open_up
         else:
@@ -127,25 +126,19 @@ def _why(
     return text, ["--nearest", *smaller, *open_up]
 
 
-def _nearest_free(graph: LatticeGraph, place: Place, other: list[int], option: str) -> str:
-    """Return where the nearest cell is that can be taken instead of a place, connected with the other end if it can."""
-    import numpy as np
-
+def _nearest_free(graph: LatticeGraph, position: Position, other: list[int], option: str) -> str:
+    """Return where the nearest cell is that will do for a position, connected with the other end if possible."""
+    from hexmap.graph.queries import nearest_free_centre
     from planners import NoPath, nearest_reachable
 
     try:
-        centre = graph.lattice.centres(nearest_reachable(graph, other, place)[None])[0]
+        centre = graph.lattice.centres(nearest_reachable(graph, other, position)[None])[0]
         what = f"the nearest free cell that {option} is connected with"
     except NoPath:  # the other end is no better
-        free = np.flatnonzero(graph.free)
-        if len(free) == 0:
+        found = nearest_free_centre(graph, position)
+        if found is None:
             return ""
-        best = math.inf
-        for k in range(0, len(free), 1 << 20):
-            centres = graph.centres(free[k : k + (1 << 20)])
-            away = ((centres - np.asarray(place)) ** 2).sum(axis=1)
-            if away.min() < best:
-                best, centre = away.min(), centres[away.argmin()]
+        centre = found
         what = "the nearest free cell"
     # As many digits as lead back to that cell.
     digits = max(2, 1 + math.ceil(-math.log10(graph.lattice.resolution)))

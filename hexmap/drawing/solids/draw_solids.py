@@ -7,7 +7,8 @@ samples a pixel), the view is a true perspective, and shadows are computed.
 Examples:
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from hexmap.lattice import Lattice
+    >>> from hexmap import Lattice, VoxelList
+    >>> from hexmap.drawing.solids import draw_solids
     >>> ball = Lattice.named("D3", resolution=0.1).disk([0, 0, 0], 3)
     >>> cells = VoxelList.from_cells(ball, Lattice.named("D3", resolution=0.1))
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -31,10 +32,11 @@ from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError, MissingDependencyError
-from hexmap.drawing.figure_layout import FAINT, _metres, _round_length
+from hexmap.drawing.figure_layout import FAINT, metres_text, round_length
 from hexmap.drawing.solids.mesh import Mesh, check_spatial, exposed_faces, height_colours, height_range, mesh_of_cells
 from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
 from hexmap.drawing.solids.renderer import Camera, directions, render
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
 
 __all__ = ["MESH_SUFFIXES", "Cut", "Mesh", "draw_solids", "find_cut", "mesh_of_cells", "save_mesh", "view_solids"]
@@ -44,7 +46,7 @@ _TEXT = "#1f2a3d"
 _MARGIN, _FOOT, _HEAD = 0.16, 0.62, 0.40  # inches around, below and (with a title) above the solids
 _METADATA: dict[str, Any] = {"Software": None}
 _SIDES, _MAX_PIXELS = (64, 20_000), 40_000_000
-_CEILING = 0.2  # a layer that covers this part of the ground plan is a floor or a ceiling
+_CEILING = 0.2  # a layer that covers this fraction of the ground plan is a floor or a ceiling
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Cut:
 
     Attributes:
         above: cells whose centre is higher than this, metres.
-        near: the cells nearest to the viewer, as a part (0 to 1) of the scene's depth along the
+        near: the cells nearest to the viewer, as a fraction (0 to 1) of the scene's depth along the
             view's horizontal direction: 0.3 takes away the front third, as in a doll's house.
     """
 
@@ -65,7 +67,7 @@ class Cut:
         if self.above is not None and not math.isfinite(self.above):
             raise ArgumentError(f"a cut is at a finite height, not at {self.above}")
         if self.near is not None and not 0.0 <= self.near < 1.0:
-            raise ArgumentError(f"a cut takes away a part from 0 to below 1 of the near side, not {self.near}")
+            raise ArgumentError(f"a cut takes away a fraction from 0 to below 1 of the near side, not {self.near}")
 
     def keep(self, cells: VoxelList, azimuth: float) -> NDArray[np.bool_]:
         """Tell which cells (M,) of a list stay, seen from ``azimuth``, degrees."""
@@ -94,16 +96,16 @@ def find_cut(cells: VoxelList) -> Cut:
     check_spatial(cells.lattice)
     centres = cells.centres()
     step = 2.0 * cells.lattice.resolution
-    place = np.floor(centres / step + 1e-9).astype(np.int64)
-    place -= place.min(axis=0)
-    spans = place.max(axis=0) + 1
-    column = place[:, 0] * spans[1] + place[:, 1]
-    filled = np.unique(place[:, 2] * (spans[0] * spans[1]) + column) // (spans[0] * spans[1])
-    cover = np.bincount(filled, minlength=int(spans[2])) / len(np.unique(column))
+    blocks = np.floor(centres / step + 1e-9).astype(np.int64)
+    plan = IndexBox.of_cells(blocks[:, :2])
+    column, layer_of = plan.flat(blocks[:, :2]), blocks[:, 2] - blocks[:, 2].min()
+    layers = int(layer_of.max()) + 1
+    filled = np.unique(layer_of * plan.size + column) // plan.size
+    cover = np.bincount(filled, minlength=layers) / len(np.unique(column))
     low, high = np.searchsorted(np.cumsum(cover) / cover.sum(), (0.01, 0.99))
     middle = (int(low) + int(high) + 1) // 2
     # In a solid body the layer below is as full as the ceiling would be.
-    for layer in range(middle + 1, int(spans[2])):
+    for layer in range(middle + 1, layers):
         below = cover[max(layer - 3, 0) : layer - 1]
         if cover[layer] >= _CEILING and len(below) and below.max() < 0.5 * cover[layer]:
             bottom = math.floor(float(centres[:, 2].min()) / step + 1e-9) + layer - 1
@@ -131,8 +133,8 @@ def draw_solids(
             the horizon. By default behind and to the right of a robot that looks along x.
         cut: what to take away; ``"auto"`` takes off a ceiling, if :func:`find_cut` sees one, and
             None draws all cells. The caption tells where it was cut.
-        fit: the part of the cells that the page is made for on each side; beyond it, those that
-            stray far from the others may be off the page, and the caption tells how many are.
+        fit: the fraction of the cells that the picture is made for on each side; beyond it, those that
+            stray far from the others may be outside, and the caption tells how many are.
             1 shows all cells, however far some of them are.
         title: a line above the picture, if any.
         size: width and height of the picture, pixels.
@@ -147,7 +149,7 @@ def draw_solids(
     """
     path = Path(path)
     check_spatial(cells.lattice)
-    _check_page(path, view, fit, size, dpi)
+    _check_options(path, view, fit, size, dpi)
     cut = (find_cut(cells) if cut == "auto" else cut) or Cut()
     drawn = cells.select(cut.keep(cells, view[0]))
     heights = drawn.centres()[:, 2]
@@ -161,8 +163,8 @@ def draw_solids(
             looking, drawn.centres(), drawn.lattice.cell.vertices, _frame(size, dpi, title is not None), fit
         )
         pixels = render(drawn, exposed, height_colours(heights, *ends), camera, looking, size, _PAPER)
-        places = camera.project(drawn.centres())
-        outside = int(((places < 0) | (places > size)).any(axis=1).sum())
+        positions = camera.project(drawn.centres())
+        outside = int(((positions < 0) | (positions > size)).any(axis=1).sum())
     words = _caption(cells, drawn, cut, outside)
     pixels = _lettered(pixels, camera, drawn, ends, words, title, dpi)
 
@@ -176,14 +178,18 @@ def draw_solids(
     return path
 
 
-def _check_page(path: Path, view: tuple[float, float], fit: float, size: tuple[int, int], dpi: float) -> None:
-    """Refuse what is no page."""
+def _check_options(path: Path, view: tuple[float, float], fit: float, size: tuple[int, int], dpi: float) -> None:
+    """Check the options of a picture.
+
+    Raises:
+        ArgumentError: a suffix that is not known, or a number out of its range.
+    """
     if path.suffix.lower() != ".png":
         raise ArgumentError(f"{path}: solids are drawn as .png, not as {path.suffix or 'a file without a suffix'}")
     if not (len(view) == 2 and math.isfinite(view[0]) and -90.0 <= view[1] <= 90.0):
         raise ArgumentError(f"a view is an azimuth and an elevation from -90 to 90 degrees, not {view}")
     if not 0.5 <= fit <= 1.0:
-        raise ArgumentError(f"at least half of the cells and at most all must fit the page, not a part of {fit:g}")
+        raise ArgumentError(f"at least half of the cells and at most all must fit the page, not a fraction of {fit:g}")
     if not 10.0 <= dpi <= 5000.0:
         raise ArgumentError(f"a picture has 10 to 5000 pixels an inch, not {dpi:g}")
     if len(size) != 2 or not all(_SIDES[0] <= s <= _SIDES[1] for s in size) or size[0] * size[1] > _MAX_PIXELS:
@@ -193,7 +199,7 @@ def _check_page(path: Path, view: tuple[float, float], fit: float, size: tuple[i
 
 
 def _frame(size: tuple[int, int], dpi: float, titled: bool) -> tuple[float, float, float, float]:
-    """Return left, top, right and bottom of the part of the page for the solids, pixels."""
+    """Return left, top, right and bottom of the area of the page for the solids, pixels."""
     # On a page smaller than its margins the solids still get the middle.
     side = min(_MARGIN * dpi, 0.2 * size[0])
     top = min((_HEAD if titled else _MARGIN) * dpi, 0.2 * size[1])
@@ -203,9 +209,9 @@ def _frame(size: tuple[int, int], dpi: float, titled: bool) -> tuple[float, floa
 def _caption(cells: VoxelList, drawn: VoxelList, cut: Cut, outside: int) -> str:
     """Say in a line what is drawn."""
     lattice = cells.lattice
-    words = f"{lattice.title} lattice, resolution {_metres(lattice.resolution)}; {len(drawn):,} cells"
+    words = f"{lattice.title} lattice, resolution {metres_text(lattice.resolution)}; {len(drawn):,} cells"
     if len(drawn) < len(cells):
-        parts = [f"above {_metres(cut.above)}"] if cut.above is not None else []
+        parts = [f"above {metres_text(cut.above)}"] if cut.above is not None else []
         parts += [f"in the nearest {100.0 * cut.near:.3g} % of the depth"] if cut.near else []
         words += f", {len(cells) - len(drawn):,} {' and '.join(parts)} cut away"
     return words + (f", {outside:,} off the page" if outside else "")
@@ -221,12 +227,37 @@ def _lettered(
     dpi: float,
 ) -> NDArray[np.uint8]:
     """Return the picture with title, caption, scale and the colours of heights."""
+    height, width = pixels.shape[:2]
+    ink = _ink(height, width, camera, drawn, ends, words, title, dpi)
+    if ink.shape[:2] != pixels.shape[:2]:
+        # The figure's inches can round to a pixel less or more.
+        whole = np.zeros((height, width, 4), np.float32)
+        rows, columns = min(height, ink.shape[0]), min(width, ink.shape[1])
+        whole[:rows, :columns] = ink[:rows, :columns]
+        ink = whole
+    marked = ink[:, :, 3].any(axis=1)
+    out = _faded(pixels, dpi, title is not None)
+    opacity = ink[marked, :, 3:] / 255.0
+    out[marked] = np.rint(out[marked] * (1.0 - opacity) + ink[marked, :, :3] * opacity)
+    return out
+
+
+def _ink(
+    height: int,
+    width: int,
+    camera: Camera | None,
+    drawn: VoxelList,
+    ends: tuple[float, float],
+    words: str,
+    title: str | None,
+    dpi: float,
+) -> NDArray[np.float32]:
+    """Return title, caption, scale and the colours of heights on a transparent sheet (H, W, 4), 0 to 255."""
     import matplotlib
     from matplotlib import style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    height, width = pixels.shape[:2]
     w, h = width / dpi, height / dpi
     # The user's own style must not leak in.
     with style.context("default", after_reset=True), matplotlib.rc_context({"font.family": ["DejaVu Sans"]}):
@@ -248,18 +279,7 @@ def _lettered(
             sheet.set_xlim(0, w)
             sheet.set_ylim(0, h)
         canvas.draw()
-        ink = np.asarray(canvas.buffer_rgba()).astype(np.float32)
-    if ink.shape[:2] != pixels.shape[:2]:
-        # The figure's inches can round to a pixel less or more.
-        whole = np.zeros((height, width, 4), np.float32)
-        rows, columns = min(height, ink.shape[0]), min(width, ink.shape[1])
-        whole[:rows, :columns] = ink[:rows, :columns]
-        ink = whole
-    marked = ink[:, :, 3].any(axis=1)
-    out = _faded(pixels, dpi, title is not None)
-    part = ink[marked, :, 3:] / 255.0
-    out[marked] = np.rint(out[marked] * (1.0 - part) + ink[marked, :, :3] * part)
-    return out
+        return np.asarray(canvas.buffer_rgba()).astype(np.float32)
 
 
 def _faded(pixels: NDArray[np.uint8], dpi: float, titled: bool) -> NDArray[np.uint8]:
@@ -278,11 +298,11 @@ def _add_scale(sheet: Any, camera: Camera, drawn: VoxelList, width: float, dpi: 
     """Add a bar as long as some round length is in the middle of the scene; nearer things are larger."""
     middle = np.median(drawn.centres(), axis=0)
     far = float((camera.rotation @ (middle - camera.eye))[2])
-    metres = _round_length(0.16 * width * dpi / camera.focal * far)
+    metres = round_length(0.16 * width * dpi / camera.focal * far)
     bar = metres * camera.focal / far / dpi
     left, row = _MARGIN, 0.62 * _FOOT
     sheet.plot([left, left, left + bar, left + bar], [row + 0.05, row, row, row + 0.05], color=_TEXT, linewidth=1.1)
-    sheet.text(left + bar + 0.07, row, f"{_metres(metres)} in mid-scene", fontsize=7.5, color=_TEXT, va="center")
+    sheet.text(left + bar + 0.07, row, f"{metres_text(metres)} in mid-scene", fontsize=7.5, color=_TEXT, va="center")
 
 
 def _add_heights(sheet: Any, right: float, ends: tuple[float, float]) -> None:
@@ -290,7 +310,7 @@ def _add_heights(sheet: Any, right: float, ends: tuple[float, float]) -> None:
     row = 0.62 * _FOOT
     # To a hundredth of the range: more digits would only be noise.
     digits = 2 - math.floor(math.log10(max(ends[1] - ends[0], 1e-3)))
-    low, high = (_metres(round(end, digits)) for end in ends)
+    low, high = (metres_text(round(end, digits)) for end in ends)
     text = sheet.text(right, row, high, fontsize=7.5, color=_TEXT, ha="right", va="center")
     figure = sheet.figure
     x = right - text.get_window_extent(figure.canvas.get_renderer()).width / figure.dpi - 0.06

@@ -12,12 +12,22 @@ from hexmap.base.errors import ArgumentError
 from hexmap.drawing.figure_layout import HEIGHTS
 from hexmap.lattice.keys import key_delta
 from hexmap.lattice.lattice import Cell, Lattice
-from hexmap.maps.outlines import _numbers
+from hexmap.lattice.window import IndexBox
+from hexmap.maps.outlines import CellCorners, row_numbers
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["Mesh", "check_spatial", "exposed_faces", "height_colours", "height_range", "mesh_of_cells", "outward_rings"]
+__all__ = [
+    "Mesh",
+    "check_spatial",
+    "exposed_faces",
+    "height_colours",
+    "height_range",
+    "linear_light",
+    "mesh_of_cells",
+    "outward_rings",
+]
 
-_STRAYS = 0.005  # part of the cells at either end that is coloured as its neighbours in height are
+_STRAYS = 0.005  # fraction of the cells at either end that is coloured as its neighbours in height are
 _DARKEST = 0.12  # of the colour map
 
 
@@ -134,9 +144,16 @@ def height_colours(heights: NDArray[np.float64], low: float, high: float) -> NDA
     """Return a colour (N, 3), sRGB, for each height, metres; ``low`` and ``high`` are the ends of the colour map."""
     import matplotlib
 
-    part = np.clip((heights - low) / ((high - low) or 1.0), 0.0, 1.0)
+    fraction = np.clip((heights - low) / ((high - low) or 1.0), 0.0, 1.0)
     # Not from the very dark: the shaded sides of the lowest cells would all be black.
-    return np.asarray(matplotlib.colormaps[HEIGHTS](_DARKEST + (1.0 - _DARKEST) * part, bytes=True)[:, :3], np.uint8)
+    colours = matplotlib.colormaps[HEIGHTS](_DARKEST + (1.0 - _DARKEST) * fraction, bytes=True)
+    return np.asarray(colours[:, :3], np.uint8)
+
+
+def linear_light(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Return sRGB bytes, an array of any shape, as linear light, 0 to 1."""
+    byte = np.arange(256) / 255.0
+    return np.asarray(np.where(byte <= 0.04045, byte / 12.92, ((byte + 0.055) / 1.055) ** 2.4)[colours])
 
 
 def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
@@ -154,6 +171,8 @@ def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
         ArgumentError: the lattice is one of the plane.
 
     Examples:
+        >>> from hexmap import Lattice, VoxelList
+        >>> from hexmap.drawing.solids import mesh_of_cells
         >>> two = VoxelList.from_cells([[0, 0, 0], [1, 0, 0]], Lattice.named("Z3", resolution=0.5))
         >>> mesh = mesh_of_cells(two)
         >>> mesh.face_count, len(mesh.vertices), round(mesh.volume, 9)
@@ -166,17 +185,17 @@ def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
     fan = np.array([(r[0], r[k], r[k + 1]) for r in rings for k in range(1, len(r) - 1)], np.int64)
     fan_face = np.repeat(np.arange(len(rings)), [len(r) - 2 for r in rings])
     exposed = exposed_faces(cells) if hidden else np.ones((len(cells), len(rings)), np.bool_)
-    owner, part = np.nonzero(exposed[:, fan_face])
+    owner, triangle = np.nonzero(exposed[:, fan_face])
     number, vertices = _corners(cells, exposed, rings)
     first = np.cumsum(exposed.reshape(-1)).reshape(exposed.shape) - 1
     normals = cell.normals / np.linalg.norm(cell.normals, axis=1, keepdims=True)
     heights = cells.centres()[:, 2]
     return Mesh(
         vertices=vertices,
-        triangles=number[owner[:, None], fan[part]],
-        normals=normals[fan_face[part]].astype(np.float32),
+        triangles=number[owner[:, None], fan[triangle]],
+        normals=normals[fan_face[triangle]].astype(np.float32),
         cells=owner.astype(np.int32),
-        faces=first[owner, fan_face[part]].astype(np.int32),
+        faces=first[owner, fan_face[triangle]].astype(np.int32),
         colours=height_colours(heights, *height_range(heights))[owner],
     )
 
@@ -184,46 +203,20 @@ def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
 def _corners(
     cells: VoxelList, exposed: NDArray[np.bool_], rings: list[NDArray[np.int64]]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Return the row (M, V) of each corner of each cell, -1 where it is not used, and the places (K, 3)."""
-    lattice = cells.lattice
-    points, kinds, kind_places = _corner_names(lattice)
-    used = np.zeros((len(cells), len(kinds)), np.bool_)
+    """Return the row (M, V) of each corner of each cell, -1 where it is not used, and their positions (K, 3)."""
+    corners = CellCorners(cells.lattice)
+    used = np.zeros((len(cells), len(corners.names)), np.bool_)
     for face, ring in enumerate(rings):
         used[:, ring] |= exposed[:, face, None]
     owner, corner = np.nonzero(used)
     number = np.full(used.shape, -1, np.int32)
     if len(owner) == 0:
         return number, np.empty((0, 3))
-    names = cells.index[owner].astype(np.int64) + points[corner]
-    low = names.min(axis=0)
-    spans = [int(s) for s in names.max(axis=0) - low + 1]
-    if spans[0] * spans[1] * spans[2] * len(kind_places) < 2**62:
-        a, b, c = (names - low).T
-        keys = ((a * spans[1] + b) * spans[2] + c) * len(kind_places) + kinds[corner]
-    else:
-        keys = _numbers(np.column_stack([names, kinds[corner]]))
+    names = corners.names[corner]
+    names[:, :3] += cells.index[owner]
+    # A number for each name: its position in a dense box where that can be counted, else by sorting.
+    box = IndexBox.of_cells(names)
+    keys = box.flat(names) if box.size < 2**62 else row_numbers(names)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     number[owner, corner] = inverse
-    return number, lattice.centres(names[first]) + kind_places[kinds[corner[first]]]
-
-
-def _corner_names(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Name the corners of the cell at the origin: a lattice point (V, 3) and a kind (V,); places of kinds (K, 3).
-
-    Corners that differ by a lattice vector are of one kind: a cube has one, a truncated octahedron six.
-    """
-    points: list[NDArray[np.float64]] = []
-    kinds: list[int] = []
-    places: list[NDArray[np.float64]] = []
-    for vertex in lattice.cell.vertices:
-        for kind, known in enumerate(places):
-            apart = np.linalg.solve(lattice.basis, vertex - known)
-            if np.abs(apart - np.rint(apart)).max() < 1e-6:
-                points.append(np.rint(apart))
-                kinds.append(kind)
-                break
-        else:
-            points.append(np.zeros(3))
-            kinds.append(len(places))
-            places.append(vertex)
-    return np.array(points, np.int64), np.array(kinds, np.int64), np.array(places)
+    return number, corners.points(names[first])

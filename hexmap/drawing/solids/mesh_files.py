@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError
-from hexmap.drawing.solids.mesh import Mesh
+from hexmap.drawing.solids.mesh import Mesh, linear_light
 
 __all__ = ["MESH_SUFFIXES", "save_mesh"]
 
@@ -53,10 +53,10 @@ def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> Path:
         raise ArgumentError(f"{path}: a mesh is saved as {' or '.join(MESH_SUFFIXES)}, not as {kind}")
     if len(mesh.triangles) == 0:
         raise ArgumentError(f"{path}: the mesh is empty, there is nothing to save")
-    parts = _ply(mesh) if suffix == ".ply" else _glb(mesh, path)
+    pieces = _ply(mesh) if suffix == ".ply" else _glb(mesh, path)
     with atomic_write(path) as handle:
-        for part in parts:
-            handle.write(part)
+        for piece in pieces:
+            handle.write(piece)
     return path
 
 
@@ -76,8 +76,8 @@ def _ply(mesh: Mesh) -> list[bytes]:
         "property int cell",
         "end_header\n",
     ]
-    corners = np.empty(len(mesh.vertices), [("place", "<f8", 3), ("colour", "u1", 3)])
-    corners["place"] = mesh.vertices
+    corners = np.empty(len(mesh.vertices), [("position", "<f8", 3), ("colour", "u1", 3)])
+    corners["position"] = mesh.vertices
     corners["colour"] = _corner_colours(mesh)
     faces = np.empty(len(mesh.triangles), [("n", "u1"), ("corners", "<i4", 3), ("colour", "u1", 3), ("cell", "<i4")])
     faces["n"], faces["corners"], faces["colour"], faces["cell"] = 3, mesh.triangles, mesh.colours, mesh.cells
@@ -96,14 +96,14 @@ def _glb(mesh: Mesh, path: Path) -> list[bytes]:
     """Return the parts of a GLB file."""
     corners, triangles, of = mesh.split()
     origin = np.round(0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)))
-    places = _y_up(mesh.vertices[corners] - origin).astype("<f4")
+    positions = _y_up(mesh.vertices[corners] - origin).astype("<f4")
     colours = np.full((len(corners), 4), 65535, "<u2")
-    colours[:, :3] = np.rint(65535.0 * _linear_table()[mesh.colours[of]])
+    colours[:, :3] = np.rint(65535.0 * linear_light(mesh.colours[of]))
     # Every array starts at a multiple of four bytes, since each row is one.
     arrays: list[tuple[NDArray[Any], int, dict[str, Any]]] = [
-        (places, _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(places), _ends(places))),
-        (_y_up(mesh.normals[of]).astype("<f4"), _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(places))),
-        (colours, _ARRAY_BUFFER, _accessor(_UINT16, "VEC4", len(places), {"normalized": True})),
+        (positions, _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(positions), _ends(positions))),
+        (_y_up(mesh.normals[of]).astype("<f4"), _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(positions))),
+        (colours, _ARRAY_BUFFER, _accessor(_UINT16, "VEC4", len(positions), {"normalized": True})),
         (triangles.astype("<u4"), _ELEMENT_ARRAY_BUFFER, _accessor(_UINT32, "SCALAR", triangles.size)),
     ]
     views, start = [], 0
@@ -153,12 +153,6 @@ def _accessor(component: int, kind: str, count: int, more: dict[str, Any] | None
     return {"componentType": component, "type": kind, "count": count, **(more or {})}
 
 
-def _ends(places: NDArray[Any]) -> dict[str, Any]:
+def _ends(positions: NDArray[Any]) -> dict[str, Any]:
     """Return the least and the greatest coordinates, as glTF wants them for positions."""
-    return {"min": places.min(axis=0).tolist(), "max": places.max(axis=0).tolist()}
-
-
-def _linear_table() -> NDArray[np.float64]:
-    """Return linear light for each sRGB byte."""
-    part = np.arange(256) / 255.0
-    return np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    return {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}

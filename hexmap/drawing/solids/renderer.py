@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
-from hexmap.drawing.solids.mesh import height_range, outward_rings
+from hexmap.drawing.solids.mesh import height_range, linear_light, outward_rings
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 
@@ -29,11 +30,95 @@ _MAP_SIDES = (1000.0, 3000.0)  # texels along a depth map: of a small scene, and
 _LIFT = 1.8  # texels above a face where its light is measured
 _SKY, _SUN = 56, 20  # directions
 _SUN_RADIUS = 0.13  # of the disc that the sun's directions fill, which makes its shadows soft
-# Parts of the light; what lies open to all of it is brighter than its colour, most of a room is not.
-_AMBIENT, _FILL, _SKY_PART, _SUN_PART = 0.20, 0.22, 0.62, 0.66
+# Shares of the light; what lies open to all of it is brighter than its colour, most of a room is not.
+_AMBIENT, _FILL, _SKY_SHARE, _SUN_SHARE = 0.20, 0.22, 0.62, 0.66
 _SHOULDER, _BRIGHTEST = 0.65, 1.4  # light from which it is compressed, and what it never reaches
 _GROUND_SHADOW = 0.62  # of the light that is missing there
-_GROUND_SIDE = 400.0  # places on the ground where its light is measured, along the longer side
+_GROUND_SIDE = 400.0  # points on the ground where its light is measured, along the longer side
+
+
+class Lens(NamedTuple):
+    """A camera in samples of the picture, for the kernels.
+
+    Attributes:
+        focal: samples.
+        cx: column of the middle, samples.
+        cy: row of the middle, samples.
+        rotation: (3, 3) float64, its rows are the picture's right and down and the view.
+        eye: (3,) float64 metres, in the frame of the scene.
+    """
+
+    focal: float
+    cx: float
+    cy: float
+    rotation: FloatArray
+    eye: FloatArray
+
+
+class Template(NamedTuple):
+    """The cell of a lattice, around its centre, for the kernels.
+
+    Attributes:
+        corners: (V, 3) float64 metres, in the camera's frame.
+        rings: (F, K) int64 corners of each face in order, filled up with 0.
+        sizes: (F,) int64 how many corners each face has.
+        normals: (F, 3) float64, in the camera's frame; a face is where x . normal = half.
+        half: (F,) float64.
+    """
+
+    corners: FloatArray
+    rings: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    normals: FloatArray
+    half: FloatArray
+
+
+class Samples(NamedTuple):
+    """The samples of a picture, for the kernels.
+
+    Attributes:
+        shown: (H, W) int32, cell * F + face, or NOTHING; later the number of the point whose light counts.
+        depth: (H, W) float32, 1 / distance along the view.
+        lens: where they are seen from.
+        per_pixel: samples along a pixel.
+    """
+
+    shown: NDArray[np.int32]
+    depth: NDArray[np.float32]
+    lens: Lens
+    per_pixel: int
+
+
+class DepthMap(NamedTuple):
+    """How high the scene reaches along one direction, for the kernels.
+
+    Attributes:
+        frame: (3, 3) float64, two axes across the direction and the direction itself, as rows.
+        low: (2,) float64 metres, where the map begins along the two axes.
+        texel: metres.
+        tops: (A, B) float32 metres along the direction.
+    """
+
+    frame: FloatArray
+    low: FloatArray
+    texel: float
+    tops: NDArray[np.float32]
+
+
+class GroundLight(NamedTuple):
+    """The light on the ground, for the kernels.
+
+    Attributes:
+        level: its height, metres.
+        low: (2,) float64 metres, the first point of the grid.
+        spacing: metres between its points.
+        light: (A, B) float32, 1 where all of it reaches.
+    """
+
+    level: float
+    low: FloatArray
+    spacing: float
+    light: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -41,7 +126,7 @@ class Directions:
     """Where the picture is seen from, as axes in the frame of the cells.
 
     Attributes:
-        rotation: (3, 3), its rows are the page's right and down and the view into the page.
+        rotation: (3, 3), its rows are the picture's right and down and the view into it.
         level: (3,), horizontal, from the scene towards the viewer.
     """
 
@@ -71,23 +156,23 @@ class Camera:
     def fitted(
         cls,
         view: Directions,
-        places: FloatArray,
+        points: FloatArray,
         room: FloatArray,
         frame: tuple[float, float, float, float],
-        part: float,
+        fraction: float,
     ) -> Camera:
-        """Stand as near as the frame (left, top, right, bottom), pixels, shows ``part`` of the places (N, 3).
+        """Stand as near as the frame (left, top, right, bottom), pixels, shows a ``fraction`` of the points (N, 3).
 
-        ``room`` (V, 3) is what surrounds each of the places: the corners of a cell. On each of the
-        four sides 1 - part of the places may be off the frame, where they stray far from the others.
+        ``room`` (V, 3) is what surrounds each of the points: the corners of a cell. On each of the
+        four sides 1 - fraction of the points may be off the frame, where they stray far from the others.
 
-        A place is in the frame when it is inside four planes through the eye, so the eye's best
-        position follows from the outermost place along each of the planes.
+        A point is in the frame when it is inside four planes through the eye, so the eye's best
+        position follows from the outermost point along each of the planes.
         """
         left, top, right, bottom = frame
         focal = 0.5 * max(right - left, bottom - top) / math.tan(0.5 * _FIELD)
         middle = (0.5 * (left + right), 0.5 * (top + bottom))
-        seen, around = places @ view.rotation.T, room @ view.rotation.T
+        seen, around = points @ view.rotation.T, room @ view.rotation.T
         tangents = np.array([right - left, bottom - top]) / (2.0 * focal)
         position = np.empty(3)
         back = []
@@ -97,7 +182,7 @@ class Camera:
                 plane = np.zeros(3)
                 plane[axis], plane[2] = sign, -tangent
                 along = seen @ plane
-                low, high = np.quantile(along, (1.0 - part, part))
+                low, high = np.quantile(along, (1.0 - fraction, fraction))
                 outermost = min(along.max(), high + _STRAYING * (high - low))
                 ends.append(float(outermost + (around @ plane).max()))
             position[axis] = 0.5 * (ends[0] - ends[1])
@@ -133,57 +218,60 @@ def render(
     """
     from hexmap.drawing.solids import _kernels as kernels
 
-    lattice, n = cells.lattice, _SUPERSAMPLING
-    cell = lattice.cell
+    lattice = cells.lattice
     centres = cells.centres()
     # Far from the origin single precision would not do; the scene is moved there.
     origin = np.round(0.5 * (centres.min(axis=0) + centres.max(axis=0)))
     centres -= origin
-    eye = camera.eye - origin
+    samples = _blank_samples(camera, origin, size)
     bits = (exposed.astype(np.int64) << np.arange(exposed.shape[1])).sum(axis=1)
-    width, height = size
-    focal, cx, cy = camera.focal * n, camera.middle[0] * n, camera.middle[1] * n
-    shown = np.full((height * n, width * n), kernels.NOTHING, np.int32)
-    depth = np.zeros(shown.shape, np.float32)
-    kernels.rasterise(
-        np.ascontiguousarray((centres - eye) @ camera.rotation.T),
-        bits,
-        np.ascontiguousarray(cell.vertices @ camera.rotation.T),
-        *_ring_table(lattice),
-        np.ascontiguousarray(cell.normals @ camera.rotation.T),
-        0.5 * (cell.normals**2).sum(axis=1),
-        focal,
-        cx,
-        cy,
-        shown,
-        depth,
-    )
-    seen = (shown, depth, n, focal, cx, cy, camera.rotation, eye)
-    count = kernels.light_points(*seen, False, np.empty(0, np.int32), np.empty((0, 3), np.float32))
+    seen = np.ascontiguousarray((centres - samples.lens.eye) @ camera.rotation.T)
+    kernels.rasterise(seen, bits, _template(lattice, camera.rotation), samples)
+    count = kernels.light_points(samples, False, np.empty(0, np.int32), np.empty((0, 3), np.float32))
     ground = _Ground.around(centres, lattice)
-    # The ground's places come last; they are of no face.
+    # The ground's points come last; they are of no face.
     what = np.full(count + ground.counts.prod(), kernels.NOTHING, np.int32)
-    places = np.empty((len(what), 3), np.float32)
-    kernels.light_points(*seen, True, what, places)
-    places[count:] = ground.places()
-    light = _light(lattice, centres, bits, view, what, places)
-    del places
-    image = np.empty((height, width, 3), np.float32)
+    points = np.empty((len(what), 3), np.float32)
+    kernels.light_points(samples, True, what, points)
+    points[count:] = ground.points()
+    light = _light(lattice, centres, bits, view, what, points)
+    del points
+    image = np.empty((size[1], size[0], 3), np.float32)
     kernels.resolve(
-        *seen,
+        samples,
         what,
         light,
         _linear(colours),
         exposed.shape[1],
         lattice.resolution,
         _linear(np.array(paper, np.uint8)),
-        ground.level,
-        ground.low,
-        ground.spacing,
-        ground.softened(light[count:]),
+        ground.lit(light[count:]),
         image,
     )
     return _encoded(image)
+
+
+def _blank_samples(camera: Camera, origin: FloatArray, size: tuple[int, int]) -> Samples:
+    """Return the samples of a picture of ``size`` pixels that shows nothing; ``origin`` (3,) is the scene's, metres."""
+    from hexmap.drawing.solids import _kernels as kernels
+
+    n = _SUPERSAMPLING
+    lens = Lens(
+        camera.focal * n, camera.middle[0] * n, camera.middle[1] * n, camera.rotation, np.asarray(camera.eye - origin)
+    )
+    shown = np.full((size[1] * n, size[0] * n), kernels.NOTHING, np.int32)
+    return Samples(shown, np.zeros(shown.shape, np.float32), lens, n)
+
+
+def _template(lattice: Lattice, rotation: FloatArray) -> Template:
+    """Return the lattice's cell as a camera of a ``rotation`` sees it."""
+    cell = lattice.cell
+    return Template(
+        np.ascontiguousarray(cell.vertices @ rotation.T),
+        *_ring_table(lattice),
+        np.ascontiguousarray(cell.normals @ rotation.T),
+        0.5 * (cell.normals**2).sum(axis=1),
+    )
 
 
 def _ring_table(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -200,7 +288,7 @@ def _ring_table(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class _Ground:
-    """The level that shadows fall on: a grid of places from ``low`` (2,), ``counts`` (2,) of them, metres apart."""
+    """The level that shadows fall on: a grid of ``counts`` (2,) points, ``spacing`` metres apart, from ``low`` (2,)."""
 
     level: float
     low: FloatArray
@@ -219,21 +307,22 @@ class _Ground:
         level = height_range(centres[:, 2])[0] + float(lattice.cell.vertices[:, 2].min())
         return cls(level, low - room, spacing, counts)
 
-    def places(self) -> NDArray[np.float32]:
-        """Return the places (A * B, 3)."""
+    def points(self) -> NDArray[np.float32]:
+        """Return the points (A * B, 3), metres."""
         x, y = (low + self.spacing * np.arange(n) for low, n in zip(self.low, self.counts, strict=True))
         out = np.empty((len(x), len(y), 3), np.float32)
         out[:, :, 0], out[:, :, 1], out[:, :, 2] = x[:, None], y, self.level
         return out.reshape(-1, 3)
 
-    def softened(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the light as a grid (A, B) without noise, and without shadow at its rim."""
+    def lit(self, light: NDArray[np.float32]) -> GroundLight:
+        """Return the ground in the ``light`` (A * B,) of its points, without noise and without shadow at its rim."""
         from scipy.ndimage import gaussian_filter
 
         grid = gaussian_filter(light.reshape(self.counts), 1.0, mode="nearest")
         ends = [np.minimum(np.arange(n), np.arange(n)[::-1]) / (0.2 * n) for n in self.counts]
         fade = np.clip(np.minimum(*np.ix_(*ends)), 0.0, 1.0)
-        return np.ascontiguousarray(1.0 - (1.0 - grid) * fade**2 * (3.0 - 2.0 * fade), np.float32)
+        soft = np.ascontiguousarray(1.0 - (1.0 - grid) * fade**2 * (3.0 - 2.0 * fade), np.float32)
+        return GroundLight(self.level, self.low, self.spacing, soft)
 
 
 def _light(
@@ -242,9 +331,9 @@ def _light(
     bits: NDArray[np.int64],
     view: Directions,
     what: NDArray[np.int32],
-    places: NDArray[np.float32],
+    points: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """Return how bright each of the places (N,) is, 1 where it shows the face's own colour."""
+    """Return how bright each of the points (N,) is, 1 where it shows the face's own colour."""
     from hexmap.drawing.solids import _kernels as kernels
 
     unit = lattice.cell.normals / np.linalg.norm(lattice.cell.normals, axis=1, keepdims=True)
@@ -270,9 +359,9 @@ def _light(
         counts = np.ceil((across.max(axis=1) + margin - start) / texel).astype(int) + 1
         if tops.size < counts.prod():
             tops = np.empty(int(1.2 * counts.prod()), np.float32)
-        window = tops[: counts.prod()].reshape(counts)
-        kernels.stamp(centres, bits, frame, start, texel, shape, window)
-        kernels.shine(places, what, normals, lift, frame, start, texel, window, brightness, light)
+        map = DepthMap(frame, start, texel, tops[: counts.prod()].reshape(counts))
+        kernels.stamp(centres, bits, shape, map)
+        kernels.shine(points, what, normals, lift, map, brightness, light)
         open_ground += brightness * float(direction[2])
     ground = what == kernels.NOTHING
     light[ground] = 1.0 - _GROUND_SHADOW * (1.0 - light[ground] / np.float32(open_ground))
@@ -287,12 +376,12 @@ def _sky() -> list[tuple[FloatArray, float]]:
     """Return directions over the upper half of the sphere, evenly, and how bright each is."""
     k = np.arange(_SKY) + 0.5
     z = k / _SKY
-    turn = k * math.pi * (3.0 - math.sqrt(5.0))
+    angle = k * math.pi * (3.0 - math.sqrt(5.0))
     r = np.sqrt(1.0 - z**2)
     bright = 0.65 + 0.35 * z
-    # Together they light a face that looks up with the sky's part.
-    bright *= _SKY_PART / float((bright * z).sum())
-    out = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    # Together they light a face that looks up with the sky's share.
+    bright *= _SKY_SHARE / float((bright * z).sum())
+    out = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     return [(direction, float(b)) for direction, b in zip(out, bright, strict=True)]
 
 
@@ -301,9 +390,9 @@ def _sunlight(sun: FloatArray) -> list[tuple[FloatArray, float]]:
     frame = _frame_along(sun)
     out = []
     for i in range(_SUN):
-        r, turn = _SUN_RADIUS * math.sqrt((i + 0.5) / _SUN), i * math.pi * (3.0 - math.sqrt(5.0))
-        direction = sun + r * (math.cos(turn) * frame[0] + math.sin(turn) * frame[1])
-        out.append((direction / np.linalg.norm(direction), _SUN_PART / _SUN))
+        r, angle = _SUN_RADIUS * math.sqrt((i + 0.5) / _SUN), i * math.pi * (3.0 - math.sqrt(5.0))
+        direction = sun + r * (math.cos(angle) * frame[0] + math.sin(angle) * frame[1])
+        out.append((direction / np.linalg.norm(direction), _SUN_SHARE / _SUN))
     return out
 
 
@@ -338,16 +427,14 @@ def _shape_along(lattice: Lattice, frame: FloatArray, texel: float) -> NDArray[n
 
 
 def _linear(colours: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return sRGB bytes as linear light, 0 to 1."""
-    part = np.arange(256) / 255.0
-    table = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
-    return np.ascontiguousarray(table[colours], dtype=np.float32)
+    """Return sRGB bytes as linear light, 0 to 1, in single precision."""
+    return np.ascontiguousarray(linear_light(colours), dtype=np.float32)
 
 
 def _encoded(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return linear light as sRGB bytes."""
     # The dark end of the curve is steep: looked up by the square root, 4096 steps are enough.
     steps = np.rint(4096.0 * np.sqrt(np.clip(image, 0.0, 1.0))).astype(np.int16)
-    part = (np.arange(4097) / 4096.0) ** 2
-    table = np.where(part <= 0.0031308, part * 12.92, 1.055 * part ** (1 / 2.4) - 0.055)
+    linear = (np.arange(4097) / 4096.0) ** 2
+    table = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.rint(255.0 * table).astype(np.uint8)[steps]

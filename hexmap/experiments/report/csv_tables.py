@@ -7,8 +7,8 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from hexmap.experiments.report.elements import Table, Verdicts, clean
 from hexmap.experiments.report.numbers import is_number, scalar
-from hexmap.experiments.report.pieces import Table, Verdicts, clean
 from hexmap.experiments.statistics import Interval
 
 

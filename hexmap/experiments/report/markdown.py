@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from hexmap.experiments.report.pieces import MARKS, Figure, Heading, Paragraph, Piece, Table, versions
+from hexmap.experiments.report.elements import MARKS, Element, Figure, Heading, Paragraph, Table, versions
 
 
 def _md(text: str) -> str:
@@ -27,30 +27,30 @@ def _md_code(text: str) -> str:
     return f"{fence}\n{text}\n{fence}"
 
 
-def markdown(title: str, command: str, settings: Mapping[str, str], pieces: Sequence[Piece]) -> str:
+def markdown(title: str, command: str, settings: Mapping[str, str], elements: Sequence[Element]) -> str:
     """Return the text of the report."""
     blocks = [f"# {_md(title)}"]
     if command:
         blocks.append(_md_code(command))
-    for piece in pieces:
-        if isinstance(piece, Heading):
-            blocks.append(f"{'#' * piece.level} {_md(piece.text)}")
-        elif isinstance(piece, Paragraph):
-            blocks.append(_md(piece.text))
-        elif isinstance(piece, Table):
-            if piece.columns:
-                blocks.append(_md_table(list(piece.columns.values()), piece.numeric, piece.texts))
-            source = f"[{_md(piece.name)}.csv]({piece.name}.csv)"
-            blocks.append(f"{_md(piece.note)} {source}".strip())
-        elif isinstance(piece, Figure):
-            blocks.append(f"![{_md(piece.caption)}]({piece.name}.png)")
-            blocks.append(f"**Figure {piece.number}.** {_md(piece.caption)} [PDF]({piece.name}.pdf)")
+    for element in elements:
+        if isinstance(element, Heading):
+            blocks.append(f"{'#' * element.level} {_md(element.text)}")
+        elif isinstance(element, Paragraph):
+            blocks.append(_md(element.text))
+        elif isinstance(element, Table):
+            if element.columns:
+                blocks.append(_md_table(list(element.columns.values()), element.numeric, element.texts))
+            source = f"[{_md(element.name)}.csv]({element.name}.csv)"
+            blocks.append(f"{_md(element.note)} {source}".strip())
+        elif isinstance(element, Figure):
+            blocks.append(f"![{_md(element.caption)}]({element.name}.png)")
+            blocks.append(f"**Figure {element.number}.** {_md(element.caption)} [PDF]({element.name}.pdf)")
         else:
-            rows = [(r.section, r.claim, f"{MARKS[r.outcome]} {r.outcome}", r.evidence, r.rule) for r in piece.rows]
+            rows = [(r.section, r.claim, f"{MARKS[r.outcome]} {r.outcome}", r.evidence, r.rule) for r in element.rows]
             header = ("Section", "Claim", "Verdict", "Evidence", "Rule")
-            blocks += [_md(piece.summary) + "."] if piece.rows else []
+            blocks += [_md(element.summary) + "."] if element.rows else []
             blocks.append(_md_table(header, [False] * 5, rows))
-            blocks.append(f"[{_md(piece.name)}.csv]({piece.name}.csv)")
+            blocks.append(f"[{_md(element.name)}.csv]({element.name}.csv)")
     blocks.append("---")
     if settings:
         blocks.append(_md_table(("Setting", "Value"), (False, False), list(settings.items())))

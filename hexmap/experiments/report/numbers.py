@@ -29,6 +29,7 @@ def format_number(value: float, spec: str | None = None) -> str:
         ArgumentError: the specification is not one of numbers.
 
     Examples:
+        >>> from hexmap.experiments.report.numbers import format_number
         >>> format_number(88206), format_number(0.016914), format_number(0.016914, ".2%")
         ('88,206', '0.01691', '1.69 %')
     """
@@ -61,6 +62,8 @@ def format_interval(
         scale: by which all three are multiplied first.
 
     Examples:
+        >>> from hexmap.experiments import Interval
+        >>> from hexmap.experiments.report.numbers import format_interval
         >>> format_interval(Interval(0.0169, 0.01523, 0.01834), percent=True)
         '1.69 % [1.52, 1.83]'
     """

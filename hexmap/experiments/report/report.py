@@ -1,7 +1,7 @@
 """Reports of experiments: one HTML file that needs no other, Markdown, a CSV a table, figures as PNG and PDF.
 
-A report is put together piece by piece, in the order in which it is read, and written at the end. The same
-pieces give the same bytes: there is no date in it, and of the machine only the versions that numbers may
+A report is put together element by element, in the order in which it is read, and written at the end. The same
+elements give the same bytes: there is no date in it, and of the machine only the versions that numbers may
 depend on. All text is plain text; what looks like markup in it is shown as it stands.
 
     report = Report("Rotation", "hexmap experiment rotation hall.pcd -o report/", {"volume": 0.001})
@@ -18,22 +18,33 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import UnionType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError, FileAccessError
-from hexmap.experiments.report import pieces as pieces
 from hexmap.experiments.report.csv_tables import csv_table, csv_verdicts
+from hexmap.experiments.report.elements import (
+    Element,
+    Figure,
+    Heading,
+    Outcome,
+    Paragraph,
+    Table,
+    Verdict,
+    Verdicts,
+    clean,
+    flat,
+)
 from hexmap.experiments.report.figures import COLOURS, figure_style, render
-from hexmap.experiments.report.html import Page
+from hexmap.experiments.report.html import html
 from hexmap.experiments.report.markdown import markdown
 from hexmap.experiments.report.numbers import Format, column, format_interval, format_number, is_numeric, scalar
-from hexmap.experiments.report.pieces import Outcome, Verdict, clean, flat
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
 
 __all__ = ["COLOURS", "Format", "Outcome", "Report", "Verdict", "figure_style", "format_interval", "format_number"]
 
@@ -41,7 +52,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
 class Report:
-    """A report that is put together piece by piece, and then written.
+    """A report that is put together element by element, and then written.
 
     Args:
         title: of the report.
@@ -52,7 +63,7 @@ class Report:
     def __init__(self, title: str, command: str = "", settings: Mapping[str, Any] | None = None) -> None:
         self.title, self.command = clean(title), clean(command)
         self.settings = {clean(name): _setting(value) for name, value in (settings or {}).items()}
-        self._pieces: list[pieces.Piece] = []
+        self._elements: list[Element] = []
         self._names: set[str] = set()
         self._anchors: set[str] = set()
 
@@ -65,19 +76,13 @@ class Report:
         if level not in (2, 3, 4):
             raise ArgumentError(f"a heading has level 2, 3 or 4, not {level!r}")
         text = flat(text)
-        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "section"
-        anchor, n = words, 1
-        while anchor in self._anchors:
-            n += 1
-            anchor = f"{words}-{n}"
-        self._anchors.add(anchor)
-        self._pieces.append(pieces.Heading(text, level, anchor))
+        self._elements.append(Heading(text, level, self._new_anchor(text)))
 
     def paragraph(self, text: str) -> None:
         """Add a paragraph, or several where empty lines separate them."""
-        for part in re.split(r"\n\s*\n", clean(text)):
-            if part.strip():
-                self._pieces.append(pieces.Paragraph(" ".join(part.split())))
+        for paragraph in re.split(r"\n\s*\n", clean(text)):
+            if paragraph.strip():
+                self._elements.append(Paragraph(flat(paragraph)))
 
     def table(
         self,
@@ -111,17 +116,13 @@ class Report:
             columns = list(dict.fromkeys(key for row in rows for key in row))
         headings = dict(columns) if isinstance(columns, Mapping) else {key: key for key in columns}
         kept = [{key: scalar(row.get(key)) for key in headings} for row in rows]
-        texts, numeric = [], []
-        for key in headings:
-            cells = [row[key] for row in kept]
-            texts.append([flat(text) for text in column(cells[:shown], (formats or {}).get(key))])
-            numeric.append(is_numeric(cells[:shown], texts[-1]))
-        lines = [list(line) for line in zip(*texts, strict=True)]
-        shown_as = {key: flat(heading) for key, heading in headings.items()}
+        lines, numeric = _as_shown(kept[:shown], list(headings), formats or {})
+        headings = {key: flat(heading) for key, heading in headings.items()}
         note = None if caption is None else flat(caption)
-        self._pieces.append(pieces.Table(name, shown_as, kept, lines, numeric, note, shown))
+        number = self._count(Table | Verdicts) + 1
+        self._elements.append(Table(name, number, headings, kept, lines, numeric, note, shown))
 
-    def figure(self, name: str, figure: Figure, caption: str) -> None:
+    def figure(self, name: str, figure: Drawing, caption: str) -> None:
         """Add a figure, as it is now; it also becomes the files ``<name>.png`` and ``<name>.pdf``.
 
         Args:
@@ -133,9 +134,8 @@ class Report:
             ArgumentError: a name that is no file name or is taken.
         """
         name = self._take(name, "png", "pdf")
-        number = 1 + sum(isinstance(piece, pieces.Figure) for piece in self._pieces)
         files = {kind: render(figure, kind) for kind in ("png", "pdf", "svg")}
-        self._pieces.append(pieces.Figure(name, number, flat(caption), files))
+        self._elements.append(Figure(name, self._count(Figure) + 1, flat(caption), files))
 
     def verdicts(self, rows: Sequence[Verdict], name: str = "verdicts") -> None:
         """Add the claims and what became of each; they also become the file ``<name>.csv``.
@@ -147,7 +147,7 @@ class Report:
         kept = [
             Verdict(flat(row.claim), flat(row.section), row.outcome, flat(row.rule), flat(row.evidence)) for row in rows
         ]
-        self._pieces.append(pieces.Verdicts(name, kept))
+        self._elements.append(Verdicts(name, self._count(Table | Verdicts) + 1, kept))
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the report into a folder, which is made if it does not exist.
@@ -166,20 +166,25 @@ class Report:
             target.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise FileAccessError(f"{target}: cannot be written: {error.strerror or error}") from error
-        files: dict[str, bytes] = {}
-        for piece in self._pieces:
-            if isinstance(piece, pieces.Table):
-                files[f"{piece.name}.csv"] = csv_table(piece)
-            elif isinstance(piece, pieces.Verdicts):
-                files[f"{piece.name}.csv"] = csv_verdicts(piece)
-            elif isinstance(piece, pieces.Figure):
-                files.update({f"{piece.name}.{kind}": piece.files[kind] for kind in ("png", "pdf")})
-        parts = (self.title, self.command, self.settings, self._pieces)
-        pages = {"report.html": Page(*parts).text().encode(), "report.md": markdown(*parts).encode()}
-        for name, content in (*files.items(), *pages.items()):
+        files = _files(self._elements)
+        content = (self.title, self.command, self.settings, self._elements)
+        pages = {"report.html": html(*content).encode(), "report.md": markdown(*content).encode()}
+        for name, data in (*files.items(), *pages.items()):
             with atomic_write(target / name) as handle:
-                handle.write(content)
+                handle.write(data)
         return [target / name for name in (*pages, *files)]
+
+    def _count(self, kinds: type | UnionType) -> int:
+        return sum(isinstance(element, kinds) for element in self._elements)
+
+    def _new_anchor(self, text: str) -> str:
+        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "section"
+        anchor, n = words, 1
+        while anchor in self._anchors:
+            n += 1
+            anchor = f"{words}-{n}"
+        self._anchors.add(anchor)
+        return anchor
 
     def _take(self, name: str, *suffixes: str) -> str:
         if not _NAME.fullmatch(name):
@@ -191,6 +196,31 @@ class Report:
                 raise ArgumentError(f"the report already has a file {name}.{suffix}")
             self._names.add(file)
         return name
+
+
+def _as_shown(
+    rows: Sequence[Mapping[str, Any]], keys: Sequence[str], formats: Mapping[str, Format]
+) -> tuple[list[list[str]], list[bool]]:
+    """Return the cells of a table as they are read, row by row, and whether each column is one of numbers."""
+    columns, numeric = [], []
+    for key in keys:
+        cells = [row[key] for row in rows]
+        columns.append([flat(text) for text in column(cells, formats.get(key))])
+        numeric.append(is_numeric(cells, columns[-1]))
+    return [list(line) for line in zip(*columns, strict=True)], numeric
+
+
+def _files(elements: Sequence[Element]) -> dict[str, bytes]:
+    """Return the files that stand beside the pages, by name: tables and figures in their order."""
+    files: dict[str, bytes] = {}
+    for element in elements:
+        if isinstance(element, Table):
+            files[f"{element.name}.csv"] = csv_table(element)
+        elif isinstance(element, Verdicts):
+            files[f"{element.name}.csv"] = csv_verdicts(element)
+        elif isinstance(element, Figure):
+            files |= {f"{element.name}.{kind}": element.files[kind] for kind in ("png", "pdf")}
+    return files
 
 
 def _setting(value: Any) -> str:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather, shown
+from hexmap.base.text import reason, shown
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
 
 __all__ = ["read_kitti", "read_npy"]
 
@@ -32,12 +33,12 @@ def read_kitti(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
     table = np.frombuffer(data, dtype="<f4").reshape(-1, 4)
     with np.errstate(invalid="ignore"):
         values = np.ascontiguousarray(table[:, chosen], dtype=np.float64)
-        # The format has no mark of its own; bytes of another kind make numbers that are out of this world.
+        # The format has no mark of its own; bytes of another kind make numbers that no coordinate has.
         wild = np.isfinite(values) & (np.abs(values) > _FARTHEST)
     if wild.any():
         row, k = (int(v) for v in np.argwhere(wild)[0])
         raise FormatError(
-            f"{path}, byte {row * 16 + chosen[k] * 4}: {values[row, k]:.6g} is no coordinate; "
+            f"{path}, byte {row * 16 + chosen[k] * 4}: {values[row, k]:.6g} is not a coordinate; "
             "a KITTI scan is float32 x y z intensity, point after point"
         )
     return Raw(values)
@@ -46,7 +47,7 @@ def read_kitti(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
 def read_npy(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
     """Read a numpy array held in ``data``: (N, 2 or more) numbers, or records with fields x, y (and z).
 
-    Of four and more columns the first three are taken. Nothing is ever unpickled.
+    The first three of four or more columns are taken. Nothing is ever unpickled.
 
     Raises:
         FormatError: the file is damaged, or the array is of another shape or type.
@@ -55,9 +56,7 @@ def read_npy(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except Exception as error:
         # numpy parses the header as a Python literal: damage shows as nearly any exception.
-        lines = str(error).strip().splitlines()
-        detail = shown(lines[0], 100) if lines else type(error).__name__
-        raise FormatError(f"{path}: not a sound NPY file of numbers: {detail}") from error
+        raise FormatError(f"{path}: not a sound NPY file of numbers: {reason(error)}") from error
     if not isinstance(array, np.ndarray):
         raise FormatError(f"{path}: not one NPY array but an archive of several; save the points as .npy")
     if array.dtype.names:

@@ -1,4 +1,4 @@
-"""What the readers of point files share: what they hand over, the choice of columns, and words for messages."""
+"""What the readers of point files share: what they hand over, and the choice of columns."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
+from hexmap.base.text import shown
 
 Columns: TypeAlias = Sequence[str | int]
 
@@ -63,21 +64,3 @@ def gather(records: NDArray[np.void], names: Sequence[str]) -> FloatArray:
         for k, name in enumerate(names):
             out[:, k] = records[name]
     return out
-
-
-def integer(token: str) -> int | None:
-    """Return a token of a header as a whole number, or None where it is none."""
-    # ASCII, and not too long: int() takes other scripts' digits and chokes on thousands of its own.
-    return int(token) if token.isascii() and token.isdigit() and len(token) < 19 else None
-
-
-def shown(token: bytes | str, length: int = 24) -> str:
-    """Return a token of a file fit to be quoted in a message."""
-    text = token.decode("utf-8", "replace") if isinstance(token, bytes) else token
-    text = text if len(text) <= length else text[:length] + "..."
-    return text if text.isprintable() else ascii(text)[1:-1]
-
-
-def plural(count: int, noun: str) -> str:
-    """Return "1 point", "3 points"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -148,6 +148,7 @@ class PointFilter:
         seed: seed of the draw.
 
     Examples:
+        >>> from hexmap.io.clouds import PointFilter
         >>> kept, report = PointFilter(max_range=2.0, unique=True).apply_counted([[1, 0], [1, 0], [3, 0]])
         >>> kept.tolist(), str(report)
         ([[1.0, 0.0]], '1 of 3 points kept (dropped: 1 out of range, 1 duplicates)')

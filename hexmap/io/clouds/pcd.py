@@ -9,7 +9,8 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather, integer, plural, shown
+from hexmap.base.text import plural, shown, whole_number
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
 from hexmap.io.clouds.lzf import LzfError, inflate
 
 __all__ = ["read_pcd"]
@@ -56,7 +57,7 @@ class _Header:
             raise self.error(key, f"{key} has {plural(len(tokens), 'value')}, expected {count}")
         values = []
         for token in tokens:
-            value = integer(token)
+            value = whole_number(token)
             if value is None:
                 raise self.error(key, f"{key} {shown(token)!r} is not a whole number")
             values.append(value)
@@ -122,7 +123,7 @@ def _read_header(path: Path, data: bytes) -> _Header:
         if tokens[0] not in _KEYS:
             if end == len(data) and number > 1:
                 continue  # half a line: the file ends in the header
-            raise FormatError(f"{path}, line {number}: {shown(tokens[0])!r} is no entry of a PCD header")
+            raise FormatError(f"{path}, line {number}: {shown(tokens[0])!r} is not an entry of a PCD header")
         key = "FIELDS" if tokens[0] == "COLUMNS" else tokens[0]
         header.entries[key], header.lines[key] = tokens[1:], number
     header.start, header.start_line = min(at, len(data)), number + 1

@@ -11,7 +11,8 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather, integer, plural, shown
+from hexmap.base.text import plural, shown, whole_number
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
 
 __all__ = ["read_ply"]
 
@@ -117,14 +118,14 @@ def _read_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int
                 raise FormatError(f"{path}, line {number}: format {shown(tokens[1])!r} is not one of {known}")
             order = _ORDERS[tokens[1]]
         elif tokens[0] == "element" and len(tokens) == 3:
-            count = integer(tokens[2])
+            count = whole_number(tokens[2])
             if count is None:
                 raise FormatError(f"{path}, line {number}: {shown(tokens[2])!r} is not a number of elements")
             elements.append(_Element(tokens[1], count))
         elif tokens[0] == "property" and elements:
             elements[-1].properties.append(_property(path, number, tokens))
         else:
-            raise FormatError(f"{path}, line {number}: {shown(' '.join(tokens), 40)!r} is no line of a PLY header")
+            raise FormatError(f"{path}, line {number}: {shown(' '.join(tokens), 40)!r} is not a line of a PLY header")
     if order is None:
         raise FormatError(f"{path}: the PLY header has no format line")
     return order, elements, at, number + 1
@@ -134,7 +135,7 @@ def _property(path: Path, number: int, tokens: list[str]) -> _Property:
     is_list = len(tokens) == 5 and tokens[1] == "list"
     kinds = tokens[2:4] if is_list else tokens[1:2]
     if not is_list and len(tokens) != 3:
-        raise FormatError(f"{path}, line {number}: {shown(' '.join(tokens), 40)!r} is no property")
+        raise FormatError(f"{path}, line {number}: {shown(' '.join(tokens), 40)!r} is not a property")
     for kind in kinds:
         if kind not in _TYPES:
             raise FormatError(f"{path}, line {number}: the type {shown(kind)!r} is unknown")

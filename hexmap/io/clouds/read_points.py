@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
 import math
 import os
 import re
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.base.errors import ArgumentError, FileAccessError, FormatError
-from hexmap.io.clouds.columns import Columns, Raw, plural, shown
+from hexmap.base.errors import ArgumentError, FormatError
+from hexmap.base.text import plural, shown
+from hexmap.io import file_kinds
+from hexmap.io.clouds.columns import Columns, Raw
+from hexmap.io.read_file import read_file
 
 __all__ = ["FORMATS", "PointFile", "read_points"]
 
@@ -24,35 +25,15 @@ FORMATS = ("pcd", "ply", "text", "kitti", "npy")
 _ALIASES = {"xyz": "text", "txt": "text", "csv": "text", "asc": "text", "pts": "text", "bin": "kitti"}
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " "}
 _UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
-_GZIP = b"\x1f\x8b"
-_NPY = b"\x93NUMPY"
-_PLY = re.compile(rb"ply[ \t]*[\r\n]")
-_PCD = re.compile(rb"(?:[ \t]*(?:#[^\n]*)?\r?\n)*(?:# \.PCD|VERSION[ \t]+\.?[0-9]|(?:FIELDS|COLUMNS)[ \t]+[A-Za-z_])")
-_CARMEN = re.compile(rb"^(?:[FR]LASER|ROBOTLASER[12]|ODOM|PARAM)[ \t]", re.MULTILINE)
 _KNOWN = "PCD, PLY, text (XYZ, CSV), a KITTI scan (.bin) and NPY are read"
-# What people hand over by mistake begins with; the rest is told by its bytes.
-_FOREIGN = (
-    (b"PK\x03\x04", "a ZIP or NPZ archive; unpack it first"),
-    (b"LASF", "a LAS file; convert it to PLY or text first"),
-    (b"ASTM-E57", "an E57 file; convert it to PLY or text first"),
-    (b"# Octomap OcTree", "an OctoMap, not points"),
-    (b"glTF", "a glTF mesh; convert it to PLY first"),
-    (b"solid ", "an STL mesh; convert it to PLY first"),
-    (b"PAR1", "a Parquet file"),
-    (b"#ROSBAG", "a ROS 1 bag, a log and not points"),
-    (b"\x89MCAP0", "an MCAP file, a log and not points"),
-    (b"SQLite format 3", "a SQLite file"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"P5\n", "a PGM picture"),
-    (b"%PDF", "a PDF document"),
-    (b"BZh", "a bzip2 file; decompress it first"),
-    (b"\xfd7zXZ", "an xz file; decompress it first"),
-    (b"\x28\xb5\x2f\xfd", "a zstd file; decompress it first"),
-    (b"version https://git-lfs", "a Git LFS pointer; fetch the file itself"),
-    (b"\xff\xfe", "text in UTF-16; save it as UTF-8"),
-    (b"\xfe\xff", "text in UTF-16; save it as UTF-8"),
-)
+_CARMEN = re.compile(rb"^(?:[FR]LASER|ROBOTLASER[12]|ODOM|PARAM)[ \t]", re.MULTILINE)
+# How to make points of what holds points or surfaces in another format.
+_CONVERSIONS = {
+    file_kinds.LAS: "convert it to PLY or text first",
+    file_kinds.E57: "convert it to PLY or text first",
+    file_kinds.GLTF: "convert it to PLY first",
+    file_kinds.STL: "convert it to PLY first",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +107,7 @@ def read_points(
     order = _checked_axes(axes)
     wanted = _checked_columns(columns)
     separator = _checked_delimiter(delimiter)
-    data = _read_bytes(path)
+    data = read_file(path)
     kind = asked or _find_format(path, data)
     if separator is not None and kind != "text":
         raise ArgumentError(f"{path}: a delimiter is for text, not for a file of format {kind}")
@@ -174,27 +155,6 @@ def _reader(kind: str, separator: str | None) -> Callable[[Path, bytes, Columns 
     return lambda path, data, columns: read_text(path, data, columns, separator)
 
 
-def _read_bytes(path: Path) -> bytes:
-    """Return the content of a file, out of gzip where it is inside."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise FileAccessError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:
-        raise FileAccessError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if data.startswith(_GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (OSError, EOFError, zlib.error) as error:
-            state = "cut off" if isinstance(error, EOFError) else f"damaged: {error}"
-            raise FormatError(f"{path}: the gzip file is {state}") from error
-        if not data:
-            raise FormatError(f"{path}: the file inside gzip is empty")
-    if not data:
-        raise FormatError(f"{path}: the file is empty")
-    return data
-
-
 def _find_format(path: Path, data: bytes) -> str:
     """Tell the format by the content, else by the name.
 
@@ -202,12 +162,9 @@ def _find_format(path: Path, data: bytes) -> str:
         FormatError: the file is of another kind.
     """
     head = data[:4096]
-    if head.startswith(_NPY):
-        return "npy"
-    if _PLY.match(head):
-        return "ply"
-    if _PCD.match(head):
-        return "pcd"
+    for kind, name in ((file_kinds.NPY, "npy"), (file_kinds.PLY, "ply"), (file_kinds.PCD, "pcd")):
+        if kind.begins(head):
+            return name
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     if suffixes[-1:] == [".bin"]:
         if suffixes[-2:] == [".pcd", ".bin"]:
@@ -217,13 +174,13 @@ def _find_format(path: Path, data: bytes) -> str:
             )
         # Before the foreign kinds: any bytes may begin a scan.
         return "kitti"
-    for magic, name in _FOREIGN:
-        if head.startswith(magic):
-            raise FormatError(f"{path}: this is {name}; {_KNOWN}")
-    for suffix, kind in ((".pcd", "pcd"), (".ply", "ply"), (".npy", "npy")):
+    foreign = file_kinds.find_kind(head)
+    if foreign is not None:
+        advice = foreign.advice or _CONVERSIONS.get(foreign, "")
+        raise FormatError(f"{path}: this is {foreign.name}; {f'{advice}; ' if advice else ''}{_KNOWN}")
+    if suffixes[-1:] in ([".pcd"], [".ply"], [".npy"]):
         # The name promises a format whose mark is missing: its reader says best what is wrong.
-        if suffixes[-1:] == [suffix]:
-            return kind
+        return suffixes[-1][1:]
     if re.match(rb"\s*<(?:!doctype|html|\?xml)", head, re.IGNORECASE):
         raise FormatError(f"{path}, line 1: this is HTML or XML, {shown(head.strip()[:16])!r}; {_KNOWN}")
     if _CARMEN.search(head):
@@ -231,10 +188,9 @@ def _find_format(path: Path, data: bytes) -> str:
     if suffixes[-1:] == [".tum"]:
         # Its numbers would pass for points, the first of them being the time.
         raise FormatError(f"{path}: this is a trajectory by its name, not points; say format 'text' if it holds points")
-    # Control characters other than tab, newline, form feed and return occur in no text.
-    for at, byte in enumerate(head):
-        if byte < 9 or 13 < byte < 27 or 27 < byte < 32:
-            raise FormatError(f"{path}, byte {at}: the file is binary ({byte:#04x}) and of no known kind; {_KNOWN}")
+    at = file_kinds.control_byte(head)
+    if at is not None:
+        raise FormatError(f"{path}, byte {at}: the file is binary ({head[at]:#04x}) and of no known kind; {_KNOWN}")
     return "text"
 
 

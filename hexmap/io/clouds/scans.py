@@ -17,7 +17,7 @@ __all__ = ["scans_to_points"]
 def scans_to_points(pairs: Iterable[tuple[Scan, Pose]]) -> NDArray[np.float64]:
     """Return the points of all scans in the map's frame, in the order of the scans.
 
-    Which pose goes with which scan is for the caller to say, who knows the log and its poses.
+    The caller, who knows the log and its poses, says which pose goes with which scan.
 
     Args:
         pairs: scans with their ``T_map_sensor``; all of one dimension.
@@ -29,6 +29,9 @@ def scans_to_points(pairs: Iterable[tuple[Scan, Pose]]) -> NDArray[np.float64]:
         ArgumentError: a pose of another dimension than its scan, or scans of different dimensions.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap import Pose, Scan
+        >>> from hexmap.io.clouds import scans_to_points
         >>> scan = Scan(0.0, np.array([[1.0, 0.0]]))
         >>> scans_to_points([(scan, Pose.planar(2.0, 0.0, 0.0)), (scan, Pose.planar(0.0, 3.0, 0.0))]).tolist()
         [[3.0, 0.0], [1.0, 3.0]]

@@ -14,7 +14,8 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, integer, plural, shown
+from hexmap.base.text import plural, reason, shown, whole_number
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns
 
 __all__ = ["parse_rows", "read_text"]
 
@@ -139,7 +140,7 @@ def parse_rows(
             trouble = _complaint(content, columns, delimiter, decimal_comma, comments)
             if trouble:
                 raise FormatError(f"{path}, line {number}: {trouble}") from None
-        raise FormatError(f"{path}: cannot be read as numbers: {shown(str(error), 120)}") from error
+        raise FormatError(f"{path}: cannot be read as numbers: {reason(error)}") from error
 
 
 def _complaint(
@@ -222,7 +223,7 @@ def _find_layout(
         if layout.decimal_comma:
             layout.warnings.append("commas in the numbers are read as decimal points")
         return layout
-    # Of all guesses the first that found several columns knows best what is wrong.
+    # The first guess that found several columns knows best what is wrong.
     raise next((error for fields, error in errors if fields > 1), errors[-1][1])
 
 
@@ -245,7 +246,7 @@ def _layout(
         names = _names(first.text, delimiter)
         first = head[1]
     elif len(fields) == 1 and len(head) == 2 and len(_fields(head[1].text, delimiter)) > 1:
-        announced = integer(fields[0])
+        announced = whole_number(fields[0])
         first = head[1] if announced is not None else first
     fields = _fields(first.text, delimiter)
     if names is None and comment:

@@ -4,6 +4,7 @@ MovingAI grids (``.map``), Warframe voxels (``.3dmap``), ROS map_server maps (``
 OctoMaps (``.bt``), and the benchmark problems that belong to the first two (``.scen``, ``.3dscen``).
 
 Examples:
+    >>> from hexmap import Lattice
     >>> from hexmap.io.grids import open_grid, read_scenario
     >>> grid = open_grid("arena.map")  # doctest: +SKIP
     >>> graph = grid.to_graph(Lattice.named("A2", resolution=0.5))  # doctest: +SKIP
@@ -11,8 +12,8 @@ Examples:
 
 from __future__ import annotations
 
-from hexmap.io.grids.grid_map import BLOCKED, FREE, MAX_CELLS, UNKNOWN, GridMap
+from hexmap.io.grids.grid_map import MAX_CELLS, GridMap
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import Scenario, read_scenario
 
-__all__ = ["BLOCKED", "FREE", "MAX_CELLS", "UNKNOWN", "GridMap", "Scenario", "open_grid", "read_scenario"]
+__all__ = ["MAX_CELLS", "GridMap", "Scenario", "open_grid", "read_scenario"]

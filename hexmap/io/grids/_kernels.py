@@ -1,4 +1,7 @@
-"""Numba kernels of the worlds: looking points up, reading lists of voxels, walking an octree."""
+"""Numba kernels of the maps of others: looking points up, reading lists of voxels, walking an octree.
+
+States come as plain integers, and arrays of them flat, row-major: one compilation for the plane and for space.
+"""
 
 # mypy: ignore-errors
 # Numba gives the kernels their types.
@@ -20,12 +23,14 @@ def look_up(points, origin, cell, cosine, sine, shape, states, outside, out):
     d = np.empty(n, np.float64)
     turned = sine != 0.0 or cosine != 1.0
     for i in range(points.shape[0]):
+        # Into the grid's own axes, whose origin is the low corner of its cell 0.
         for k in range(n):
             d[k] = points[i, k] - origin[k]
         if turned:
             x, y = d[0], d[1]
             d[0] = cosine * x + sine * y
             d[1] = cosine * y - sine * x
+        # Cells are counted axis by axis, the last one fastest, so that the position grows by Horner's rule.
         at = 0
         inside = True
         for k in range(n):
@@ -51,6 +56,7 @@ def read_voxels(text, begin, shape, value, states):
         line = at
         fields = 0
         flat = 0
+        # A line: numbers with blanks around them, until its end or the end of the text.
         while True:
             while at < end and (text[at] == 32 or text[at] == 9 or text[at] == 13):
                 at += 1
@@ -68,9 +74,11 @@ def read_voxels(text, begin, shape, value, states):
                 return line
             flat = flat * shape[fields] + number
             fields += 1
+            # What follows the digits must end the number: 1.5 and 1x are none.
             if at < end and text[at] != 32 and text[at] != 9 and text[at] != 13 and text[at] != 10:
                 return line
         at += 1
+        # A line without any field is blank, one with some but not three is wrong.
         if fields == 3:
             states[flat] = value
         elif fields != 0:
@@ -88,7 +96,8 @@ def walk(data, begin, low, high, counts, fill, first, shape, occupied, free, sta
 
     Returns where the tree ends, -1 where the data end before it, -2 where it is too deep.
     """
-    bits = np.empty(DEPTH + 1, np.uint32)  # two a child, those done shifted out
+    # The stack, an entry a level: the bits of a node's eight children, how many are done, its lowest key.
+    bits = np.empty(DEPTH + 1, np.uint32)
     done = np.empty(DEPTH + 1, np.int64)
     key = np.zeros((DEPTH + 1, 3), np.int64)
     end = data.shape[0]
@@ -108,13 +117,15 @@ def walk(data, begin, low, high, counts, fill, first, shape, occupied, free, sta
         kind = (bits[level] >> np.uint32(2 * child)) & np.uint32(3)
         done[level] += 1
         if kind == 0:
-            continue
+            continue  # unknown: no voxels, and no node of its own in the file
+        # The child's block of voxels: half as wide as this node's, in the corner that its number says.
         side = 1 << (DEPTH - 1 - level)
         x = key[level, 0] + (side if child & 1 else 0)
         y = key[level, 1] + (side if child & 2 else 0)
         z = key[level, 2] + (side if child & 4 else 0)
         counts[0] += 1
         if kind == 3:
+            # An inner node: its own two bytes follow here, before those of the next child.
             if level + 1 == DEPTH:
                 return -2
             if at + 2 > end:
@@ -125,6 +136,7 @@ def walk(data, begin, low, high, counts, fill, first, shape, occupied, free, sta
             key[level, 0], key[level, 1], key[level, 2] = x, y, z
             at += 2
         elif fill:
+            # A leaf stands for its whole block, however large: pruning made one of eight like it.
             value = occupied if kind == 2 else free
             for i in range(x - first[0], x - first[0] + side):
                 for j in range(y - first[1], y - first[1] + side):

@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.base.errors import ArgumentError, BoundsError
+from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 
 if TYPE_CHECKING:
-    from hexmap.graph.clearance import Boxes
+    from hexmap.graph.bodies import Boxes
     from hexmap.graph.lattice_graph import LatticeGraph
     from hexmap.graph.moves import Neighbourhood
 
-__all__ = ["BLOCKED", "FREE", "MAX_CELLS", "UNKNOWN", "GridMap"]
+__all__ = ["MAX_BYTES", "MAX_CELLS", "GridMap", "check_size"]
 
-BLOCKED, FREE, UNKNOWN = 0, 1, 2
 MAX_CELLS = 2_000_000_000  # of a dense array, a byte each
+MAX_BYTES = 4 * 2**30  # of a file, as it is and decompressed
 _FINE = 2.0**32  # parts of a cell that quotients are rounded to
-_OUTSIDE = 3  # what only the look-up itself sees
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +33,10 @@ class GridMap:
 
     The cell i holds the points origin + R(yaw) [i cell, (i + 1) cell), where R turns about the origin
     (in space about the z axis). A point on the border of two cells is in the one of the higher index;
-    quotients are rounded to 2^-32 of a cell first, so that this does not hang on how they were computed.
+    quotients are rounded to 2^-32 of a cell first, so that this does not depend on how they were computed.
 
     Attributes:
-        states: (nx, ny[, nz]) uint8, :data:`BLOCKED` 0, :data:`FREE` 1 or :data:`UNKNOWN` 2, indexed by x, y(, z).
+        states: (nx, ny[, nz]) uint8 of :class:`~hexmap.maps.CellState`, indexed by x, y(, z).
         cell: edge of a cell, metres.
         origin: (n,) float64, metres, the low corner of the cell 0, 0(, 0).
         yaw: by how much the grid is turned about its origin, radians, counter-clockwise.
@@ -45,9 +45,12 @@ class GridMap:
         y_down: whether pictures show y downwards, as MovingAI counts rows from the top.
 
     Examples:
-        >>> world = GridMap(np.array([[1, 0], [1, 1]], np.uint8), 0.5, [0, 0])
-        >>> world.state_at([[0.1, 0.1], [0.1, 0.6], [7, 7]]).tolist()
-        [1, 0, 0]
+        >>> import numpy as np
+        >>> from hexmap.io.grids import GridMap
+        >>> from hexmap.maps import CellState
+        >>> grid = GridMap(np.array([[1, 2], [1, 1]], np.uint8), 0.5, [0, 0])
+        >>> [CellState(s).name for s in grid.state_at([[0.1, 0.1], [0.1, 0.6], [7, 7]])]
+        ['FREE', 'OCCUPIED', 'OCCUPIED']
     """
 
     states: NDArray[np.uint8] = field(repr=False)
@@ -70,8 +73,9 @@ class GridMap:
             raise ArgumentError(
                 f"the states of a grid are uint8 (nx, ny) or (nx, ny, nz), not {states.dtype} {states.shape}"
             )
-        if int(states.max()) > UNKNOWN:
-            raise ArgumentError(f"the state of a cell is 0 blocked, 1 free or 2 unknown, not {int(states.max())}")
+        if int(states.max()) > max(CellState):
+            known = ", ".join(f"{state:d} ({state.name.lower()})" for state in CellState)
+            raise ArgumentError(f"the state of a cell is one of {known}, not {int(states.max())}")
         if states.flags.writeable or not states.flags.c_contiguous:
             states = np.array(states, order="C")
         try:
@@ -100,7 +104,7 @@ class GridMap:
     @cached_property
     def has_unknown(self) -> bool:
         """Whether any cell is unknown."""
-        return bool((self.states == UNKNOWN).any())
+        return bool((self.states == CellState.UNKNOWN.value).any())
 
     @cached_property
     def _box(self) -> NDArray[np.float64]:
@@ -121,7 +125,7 @@ class GridMap:
         return self._box[1].copy()
 
     def _turned(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return vectors (M, n) of the grid's own axes in the world's."""
+        """Turn vectors (M, n) from the grid's own axes into those of its frame."""
         if self.yaw == 0.0:
             return v
         out = v.copy()
@@ -139,39 +143,39 @@ class GridMap:
             raise ArgumentError(f"points in a grid of dimension {self.dim} are (N, {self.dim}), not {p.shape}")
         return p
 
-    def _look_up(self, points: ArrayLike, outside: int) -> NDArray[np.uint8]:
+    def state_at(self, points: ArrayLike, outside: int = CellState.OCCUPIED) -> NDArray[np.uint8]:
+        """Return the state (N,) uint8 of the cell that each of ``points`` (N, n), metres, lies in.
+
+        Args:
+            points: (N, n), metres.
+            outside: what is answered for points outside the grid, and for points that are not finite.
+
+        Raises:
+            ArgumentError: the array is not (N, n).
+        """
         from hexmap.io.grids import _kernels as kernels
 
         p = self._points(points)
         out = np.empty(len(p), np.uint8)
         c, s = (1.0, 0.0) if self.yaw == 0.0 else (math.cos(self.yaw), math.sin(self.yaw))
         shape = np.array(self.states.shape, np.int64)
-        kernels.look_up(p, self.origin, self.cell, c, s, shape, self.states.reshape(-1), outside, out)
+        # A plain integer: the kernel would compile again for an enumeration.
+        kernels.look_up(p, self.origin, self.cell, c, s, shape, self.states.reshape(-1), int(outside), out)
         return out
-
-    def state_at(self, points: ArrayLike) -> NDArray[np.uint8]:
-        """Return the state (N,) uint8 of the cell that each of ``points`` (N, n), metres, lies in.
-
-        Outside the grid all is blocked, and so is a point that is not finite.
-
-        Raises:
-            ArgumentError: the array is not (N, n).
-        """
-        return self._look_up(points, BLOCKED)
 
     def free_at(self, points: ArrayLike, unknown: Literal["blocked", "free"] = "blocked") -> NDArray[np.bool_]:
         """Tell for each of ``points`` (N, n), metres, whether its cell is free.
 
         Args:
             points: (N, n), metres.
-            unknown: what unknown cells count as; outside the grid all is blocked nevertheless.
+            unknown: what unknown cells count as; everything outside the grid is blocked all the same.
 
         Raises:
             ArgumentError: the array is not (N, n), or there is no such option.
         """
         _check_unknown(unknown)
         states = self.state_at(points)
-        return states != BLOCKED if unknown == "free" else states == FREE
+        return states != CellState.OCCUPIED.value if unknown == "free" else states == CellState.FREE.value
 
     def centre(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the centres (M, n), metres, of cells (M, n), which may lie outside the grid.
@@ -233,16 +237,16 @@ class GridMap:
         neighbourhood: Neighbourhood = None,
         max_cells: int | None = None,
     ) -> LatticeGraph:
-        """Rasterise the world onto a lattice: a cell is what its centre lies in.
+        """Rasterise the grid onto a lattice: a cell of the lattice is what its centre lies in.
 
         At the resolution of :attr:`cell` a square or cubic lattice gives a MovingAI or Warframe map index for index.
         On another lattice of the same cell size routes leak through walls of one cell: take a half or a quarter of it.
-        Clearance to an obstacle's centre is measured from the lattice's blocked cells whose centre is in
-        the grid, clearance to an obstacle's cell from the grid's own blocked squares or cubes, turned as they
-        are; unknown cells and what lies outside are no obstacles.
+        Clearance to an obstacle's centre is measured from the centres of the lattice's cells that lie in occupied
+        cells of the grid, clearance to an obstacle's cell from the grid's own occupied squares or cubes, turned
+        as they are; unknown cells and what lies outside are no obstacles.
 
         Args:
-            lattice: the lattice to rasterise onto, of the world's dimension.
+            lattice: the lattice to rasterise onto, of the grid's dimension.
             unknown: what unknown cells count as.
             neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
             max_cells: how large a window may be, padding included.
@@ -257,7 +261,7 @@ class GridMap:
         _check_unknown(unknown)
         if lattice.dim != self.dim:
             raise ArgumentError(
-                f"a world of dimension {self.dim} does not fit {lattice.name}, of dimension {lattice.dim}"
+                f"a grid of dimension {self.dim} does not fit {lattice.name}, of dimension {lattice.dim}"
             )
         # A centre on the grid's border belongs to the grid or not, as the look-up decides it.
         grain = self.cell / _FINE
@@ -265,8 +269,8 @@ class GridMap:
         occupied_at: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None
         if self.yaw != 0.0 or self.has_unknown:
             low, high = self.low - grain, self.high + grain
-            occupied_at = self._blocked_at
-        graph = graphs.LatticeGraph.rasterise(
+            occupied_at = self._occupied_at
+        return graphs.LatticeGraph.rasterise(
             lambda points: self.free_at(points, unknown),
             lattice,
             low,
@@ -274,19 +278,18 @@ class GridMap:
             neighbourhood=neighbourhood,
             max_cells=graphs.MAX_CELLS if max_cells is None else max_cells,
             occupied_at=occupied_at,
+            boxes=self._occupied_boxes,
         )
-        graph._obstacles.source = self._blocked_boxes
-        return graph
 
-    def _blocked_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell for each of points (N, n) whether it lies in a blocked cell of the grid."""
-        return self._look_up(points, _OUTSIDE) == BLOCKED
+    def _occupied_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell for each of points (N, n) whether it lies in an occupied cell of the grid."""
+        return self.state_at(points, outside=CellState.UNKNOWN) == CellState.OCCUPIED.value
 
-    def _blocked_boxes(self) -> Boxes:
-        """Return the blocked cells as boxes, but for those with blocked cells across all their faces."""
-        from hexmap.graph.clearance import Boxes
+    def _occupied_boxes(self) -> Boxes:
+        """Return the occupied cells as boxes, but for those with occupied cells across all their faces."""
+        from hexmap.graph.bodies import Boxes
 
-        solid = self.states == BLOCKED
+        solid = self.states == CellState.OCCUPIED.value
         surface = np.pad(solid, 1)
         inner = surface.copy()
         for axis in range(self.dim):
@@ -298,7 +301,23 @@ class GridMap:
             edge=self.cell,
             frame=np.ascontiguousarray(self._turned(np.eye(self.dim))),
             grain=self.cell / _FINE,
-            contains=self._blocked_at,
+            contains=self._occupied_at,
+        )
+
+
+def check_size(where: object, shape: tuple[int, ...]) -> None:
+    """Refuse a dense array that is too large, before it is allocated.
+
+    Raises:
+        TooLargeError: naming the size.
+    """
+    cells = 1
+    for s in shape:
+        cells *= s
+    if cells > MAX_CELLS:
+        raise TooLargeError(
+            f"{where}: {' x '.join(map(str, shape))} cells would take {cells / 2**30:.1f} GiB; "
+            f"at most {MAX_CELLS} are read"
         )
 
 

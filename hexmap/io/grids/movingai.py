@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import BLOCKED, FREE, GridMap
-from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.base.text import quoted, whole_number
+from hexmap.io.grids.grid_map import GridMap, check_size
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["parse"]
 
@@ -21,7 +22,7 @@ _BAD = 255
 
 
 def parse(path: Path, data: bytes, cell: float) -> GridMap:
-    """Make a world of the text of a ``.map`` file; ``.`` ``G`` ``S`` are free, ``@`` ``O`` ``T`` ``W`` blocked.
+    """Make a grid of the text of a ``.map`` file; ``.`` ``G`` ``S`` are free, ``@`` ``O`` ``T`` ``W`` occupied.
 
     Cell (x, y) is column x of row y, the top row is 0, and its centre lies at (x, y) times ``cell`` metres.
 
@@ -32,21 +33,21 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
     lines = data.split(b"\n")
     kind = lines[0].split()
     if kind[:1] != [b"type"]:
-        raise FormatError(f"{path}, line 1: a MovingAI map begins with 'type octile', not with {shown(lines[0])}")
+        raise FormatError(f"{path}, line 1: a MovingAI map begins with 'type octile', not with {quoted(lines[0])}")
     if kind != [b"type", b"octile"]:
-        raise FormatError(f"{path}, line 1: only maps of type octile are read, not {shown(lines[0])}")
+        raise FormatError(f"{path}, line 1: only maps of type octile are read, not {quoted(lines[0])}")
     sizes: dict[bytes, int] = {}
     for k in (1, 2):
         words = lines[k].split() if k < len(lines) else []
-        size = whole(words[1]) if len(words) == 2 else None
+        size = whole_number(words[1]) if len(words) == 2 else None
         if not words or words[0] not in (b"height", b"width") or words[0] in sizes or size is None:
-            found = shown(lines[k]) if k < len(lines) else "the end of the file"
+            found = quoted(lines[k]) if k < len(lines) else "the end of the file"
             raise FormatError(f"{path}, line {k + 1}: 'height' and 'width' with an integer belong here, not {found}")
         if size == 0:
             raise FormatError(f"{path}, line {k + 1}: the map is empty: its {words[0].decode()} is 0")
         sizes[words[0]] = size
     if len(lines) < 4 or lines[3].split() != [b"map"]:
-        found = shown(lines[3]) if len(lines) > 3 else "the end of the file"
+        found = quoted(lines[3]) if len(lines) > 3 else "the end of the file"
         raise FormatError(f"{path}, line 4: 'map' belongs here, not {found}")
     width, height = sizes[b"width"], sizes[b"height"]
     check_size(path, (width, height))
@@ -59,13 +60,13 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
         if len(row) != width:
             raise FormatError(f"{path}, line {5 + k}: row {k} has {len(row)} characters, the width is {width}")
     table = np.full(256, _BAD, np.uint8)
-    table[list(_PASSABLE)] = FREE
-    table[list(_BLOCKED)] = BLOCKED
+    table[list(_PASSABLE)] = CellState.FREE
+    table[list(_BLOCKED)] = CellState.OCCUPIED
     states = table[np.frombuffer(b"".join(rows), np.uint8).reshape(height, width)]
     if int(states.max()) == _BAD:
         y, x = (int(v) for v in np.argwhere(states == _BAD)[0])
         raise FormatError(
-            f"{path}, line {5 + y}: column {x} is {shown(rows[y][x : x + 1])}; "
+            f"{path}, line {5 + y}: column {x} is {quoted(rows[y][x : x + 1])}; "
             f"a cell is one of {' '.join((_PASSABLE + _BLOCKED).decode())}"
         )
     turned = np.ascontiguousarray(states.T)

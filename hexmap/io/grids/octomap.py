@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import BLOCKED, FREE, UNKNOWN, GridMap
-from hexmap.io.grids.read_bytes import check_size, shown, whole
+from hexmap.base.text import quoted, whole_number
+from hexmap.io.grids.grid_map import GridMap, check_size
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["MAGIC", "parse"]
 
@@ -23,7 +24,7 @@ _CENTRE = 32768  # key of the voxel whose low corner is at 0
 
 
 def parse(path: Path, data: bytes) -> GridMap:
-    """Make a world of the bytes of a ``.bt`` file: the box of all known voxels, dense, at the finest depth.
+    """Make a grid of the bytes of a ``.bt`` file: the box of all known voxels, dense, at the finest depth.
 
     The voxel of key k is ``(k - 32768) res`` to ``(k - 32767) res`` metres along each axis. Pruned
     leaves fill the block that they stand for.
@@ -40,9 +41,11 @@ def parse(path: Path, data: bytes) -> GridMap:
     counts = np.zeros(3, np.int64)
     low, high = np.full(3, 2**kernels.DEPTH, np.int64), np.zeros(3, np.int64)
     none = np.zeros(3, np.int64)
+    # Plain integers: the kernel would compile again for an enumeration.
+    occupied, free = int(CellState.OCCUPIED), int(CellState.FREE)
 
     def walk(fill: bool, first: np.ndarray, shape: np.ndarray, states: np.ndarray) -> int:
-        return int(kernels.walk(tree, begin, low, high, counts, fill, first, shape, BLOCKED, FREE, states))
+        return int(kernels.walk(tree, begin, low, high, counts, fill, first, shape, occupied, free, states))
 
     end = walk(False, none, none, np.empty(0, np.uint8)) if size else begin
     if end == -1:
@@ -57,7 +60,7 @@ def parse(path: Path, data: bytes) -> GridMap:
         raise FormatError(f"{path}: the map is empty: no voxel of it is known")
     shape = high - low
     check_size(path, tuple(int(s) for s in shape))
-    states = np.full(tuple(int(s) for s in shape), UNKNOWN, np.uint8)
+    states = np.full(tuple(int(s) for s in shape), CellState.UNKNOWN, np.uint8)
     walk(True, low, shape, states.reshape(-1))
     states.setflags(write=False)
     origin = np.asarray((low - _CENTRE) * resolution)
@@ -78,7 +81,7 @@ def _header(path: Path, data: bytes) -> tuple[int, float, int]:
         line = data[at:end].strip()
         at = end + 1
         if number == 1 and not line.startswith(MAGIC):
-            raise FormatError(f"{path}, line 1: an OctoMap begins with {shown(MAGIC)}, not with {shown(line)}")
+            raise FormatError(f"{path}, line 1: an OctoMap begins with {quoted(MAGIC)}, not with {quoted(line)}")
         if line == b"data":
             break
         if not line or line.startswith(b"#"):
@@ -86,16 +89,16 @@ def _header(path: Path, data: bytes) -> tuple[int, float, int]:
         key, _, value = line.partition(b" ")
         value = value.strip()
         if key == b"id" and value != b"OcTree":
-            raise FormatError(f"{path}, line {number}: only trees of id OcTree are read, not {shown(value)}")
-        if key == b"size" and whole(value) is None:
-            raise FormatError(f"{path}, line {number}: the size must be a number of nodes, not {shown(value)}")
+            raise FormatError(f"{path}, line {number}: only trees of id OcTree are read, not {quoted(value)}")
+        if key == b"size" and whole_number(value) is None:
+            raise FormatError(f"{path}, line {number}: the size must be a number of nodes, not {quoted(value)}")
         if key == b"res" and _edge(value) is None:
-            raise FormatError(f"{path}, line {number}: the resolution must be a positive number, not {shown(value)}")
+            raise FormatError(f"{path}, line {number}: the resolution must be a positive number, not {quoted(value)}")
         found[key] = value
     for key in (b"id", b"size", b"res"):
         if key not in found:
             raise FormatError(f"{path}, line {number}: the header ends without {key.decode()!r}")
-    size, resolution = whole(found[b"size"]), _edge(found[b"res"])
+    size, resolution = whole_number(found[b"size"]), _edge(found[b"res"])
     assert size is not None and resolution is not None
     return size, resolution, at
 

@@ -7,13 +7,16 @@ import os
 from pathlib import Path
 
 from hexmap.base.errors import ArgumentError, FormatError
-from hexmap.io.grids.grid_map import GridMap
-from hexmap.io.grids.read_bytes import read_bytes, shown
+from hexmap.base.text import quoted
+from hexmap.io import file_kinds
+from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
+from hexmap.io.read_file import read_file
 
 __all__ = ["open_grid"]
 
 _KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map or an OctoMap .bt"
-_PICTURES = (b"P2", b"P5", b"\x89PNG")
+_PICTURES = (file_kinds.PNG, file_kinds.PGM, file_kinds.BMP)
+_KINDS = {file_kinds.MOVINGAI: "movingai", file_kinds.WARFRAME: "warframe", file_kinds.OCTOMAP: "octomap"}
 
 
 def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> GridMap:
@@ -36,7 +39,7 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
     path = Path(path)
     if cell is not None and not (isinstance(cell, (int, float)) and math.isfinite(cell) and cell > 0.0):
         raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {cell!r}")
-    data = read_bytes(path)
+    data = read_file(path, MAX_BYTES)
     kind = _kind(path, data)
     if kind in ("ros", "octomap") and cell is not None:
         raise ArgumentError(f"{path}: the file says how large its cells are; a cell of {cell:g} m cannot change that")
@@ -60,21 +63,21 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
 
 def _kind(path: Path, data: bytes) -> str:
     """Return what a file is, by how it begins, then by its suffix."""
-    if data.startswith(_PICTURES):
+    if file_kinds.find_kind(data, _PICTURES) is not None:
         raise FormatError(
             f"{path}: a picture alone does not say where its map lies; "
             f"name the .yaml of map_server ({path.with_suffix('.yaml').name})"
         )
-    if data.startswith(b"# Octomap OcTree file"):
+    if file_kinds.FULL_OCTOMAP.begins(data):
         raise FormatError(f"{path}: this is a full OctoMap (.ot); write it as binary first (convert_octree)")
-    if data.startswith(b"version "):
+    if file_kinds.SCENARIO.begins(data):
         raise FormatError(f"{path}: this is a scenario, the queries of a map; name the map itself")
-    for magic, kind in ((b"type ", "movingai"), (b"voxel ", "warframe"), (b"# Octomap", "octomap")):
-        if data.startswith(magic):
-            return kind
+    found = file_kinds.find_kind(data, _KINDS)
+    if found is not None:
+        return _KINDS[found]
     names = {".map": "movingai", ".3dmap": "warframe", ".yaml": "ros", ".yml": "ros", ".bt": "octomap"}
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     kind = names.get(suffixes[-1], "") if suffixes else ""
     if not kind:
-        raise FormatError(f"{path}: of no known kind (it begins with {shown(data[:40])}); a map is {_KNOWN}")
+        raise FormatError(f"{path}: of no known kind (it begins with {quoted(data[:40])}); a map is {_KNOWN}")
     return kind

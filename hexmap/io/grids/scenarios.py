@@ -7,13 +7,16 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import FormatError
-from hexmap.io.grids.grid_map import FREE, GridMap
-from hexmap.io.grids.read_bytes import read_bytes, shown, whole
+from hexmap.base.text import quoted, whole_number
+from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
+from hexmap.io.read_file import read_file
+from hexmap.maps.cell_state import CellState
 
 __all__ = ["Scenario", "read_scenario"]
 
@@ -63,17 +66,17 @@ class Scenario:
         """(Q,) digits after the point of each published length; the last ones may be zeros left out."""
         return np.array([len(text.partition(".")[2]) for text in self.texts], np.int64)
 
-    def check(self, world: GridMap) -> None:
+    def check(self, grid: GridMap) -> None:
         """Make sure that the queries are queries of this map: its size is theirs, and all their ends are free.
 
         Raises:
             FormatError: naming the first line that does not fit.
         """
-        shape = world.states.shape
-        named = f"the map {world.path or 'given'}"
+        shape = grid.states.shape
+        named = f"the map {grid.path or 'given'}"
         size = " x ".join(map(str, shape))
-        if self.dim != world.dim:
-            raise FormatError(f"{self.path}: its cells have {self.dim} coordinates, {named} has {world.dim} dimensions")
+        if self.dim != grid.dim:
+            raise FormatError(f"{self.path}: its cells have {self.dim} coordinates, {named} has {grid.dim} dimensions")
         if self.size is not None and self.size != shape:
             raise FormatError(
                 f"{self.path}: made for a map of {self.size[0]} x {self.size[1]} cells, {named} has {size}"
@@ -81,7 +84,7 @@ class Scenario:
         for what, cells in (("start", self.starts), ("goal", self.goals)):
             inside = np.asarray((cells < np.array(shape)).all(axis=1))
             fits: NDArray[np.bool_] = inside.copy()
-            fits[inside] = world.states[tuple(cells[inside].T)] == FREE
+            fits[inside] = grid.states[tuple(cells[inside].T)] == CellState.FREE
             if not fits.all():
                 row = int(np.argmin(fits))
                 why = f"free in {named}" if inside[row] else f"in {named} of {size}"
@@ -99,85 +102,112 @@ def read_scenario(path: str | os.PathLike[str]) -> Scenario:
         FormatError: a line is wrong (it is named), or the file has no query.
     """
     path = Path(path)
-    lines = read_bytes(path).split(b"\n")
-    head = lines[0].split()
-    if head[:1] != [b"version"] or len(head) != 2:
-        raise FormatError(f"{path}, line 1: a scenario begins with 'version 1', not with {shown(lines[0])}")
-    if head[1] not in (b"1", b"1.0"):
-        raise FormatError(f"{path}, line 1: only scenarios of version 1 are read, not of {shown(head[1])}")
-    second = lines[1].strip() if len(lines) > 1 else b""
-    solid = any(suffix.lower() == ".3dscen" for suffix in path.suffixes[-2:]) or (
-        bool(second) and len(second.split()) == 1
-    )
-    dim = 3 if solid else 2
-    if solid and (not second or len(second.split()) > 1):
-        raise FormatError(f"{path}, line 2: the name of the map belongs here, not {shown(second)}")
-    name = second if solid else b""
-    size: tuple[int, int] | None = None
-    cells, lengths, texts, numbers, buckets = [], [], [], [], []
+    lines = read_file(path, MAX_BYTES).split(b"\n")
+    solid = _is_solid(path, lines)
+    queries: list[_Query] = []
     for number, line in enumerate(lines[1 + solid :], start=2 + solid):
-        line = line.strip()
-        if not line:
-            continue
-        where = f"{path}, line {number}"
-        # Names of maps may hold spaces where the fields are parted by tabs.
-        words = [word.strip() for word in line.split(b"\t")] if b"\t" in line else line.split()
-        if len(words) != (8 if solid else 9):
-            fields = "sx sy sz gx gy gz length ratio" if solid else "bucket map width height sx sy gx gy length"
-            raise FormatError(f"{where}: {len(words)} fields, and a query has '{fields}'")
-        bucket = -1
-        if not solid:
-            first = _integer(where, "the bucket", words[0])
-            sides = _integer(where, "the width", words[2]), _integer(where, "the height", words[3])
-            if size is None:
-                name, size = words[1], sides
-            if sides != size:
-                raise FormatError(
-                    f"{where}: a map of {sides[0]} x {sides[1]} cells, "
-                    f"and one of {size[0]} x {size[1]} in the lines before"
-                )
-            if words[1] != name:
-                raise FormatError(f"{where}: the map is {shown(words[1])}, and {shown(name)} in the lines before")
-            bucket, words = first, words[4:]
-        elif _length(words[7]) is None:
-            raise FormatError(f"{where}: the ratio must be a number of 0 or more, not {shown(words[7])}")
-        ends = [_integer(where, "a coordinate", word) for word in words[: 2 * dim]]
-        if size is not None:
-            for value, side in zip(ends, size * 2, strict=True):
-                if value >= side:
-                    raise FormatError(
-                        f"{where}: the query {' '.join(map(str, ends))} leaves its map of {size[0]} x {size[1]} cells"
-                    )
-        length = _length(words[2 * dim])
-        if length is None:
-            raise FormatError(f"{where}: the length must be a number of 0 or more, not {shown(words[2 * dim])}")
-        cells.append(ends)
-        lengths.append(length)
-        texts.append(words[2 * dim].decode("ascii"))
-        numbers.append(number)
-        buckets.append(bucket)
-    if not cells:
+        content = line.strip()
+        if content and solid:
+            queries.append(_solid_query(f"{path}, line {number}", number, content))
+        elif content:
+            queries.append(_flat_query(f"{path}, line {number}", number, content, queries[0] if queries else None))
+    if not queries:
         raise FormatError(f"{path}: no query in the file")
-    table = np.array(cells, np.int64)
+    name = lines[1].strip() if solid else queries[0].map_name
+    ends = np.array([query.ends for query in queries], np.int64)
+    dim = ends.shape[1] // 2
     arrays = (
-        np.ascontiguousarray(table[:, :dim]),
-        np.ascontiguousarray(table[:, dim:]),
-        np.array(lengths),
-        np.array(numbers, np.int64),
-        np.array(buckets, np.int64),
+        np.ascontiguousarray(ends[:, :dim]),
+        np.ascontiguousarray(ends[:, dim:]),
+        np.array([query.length for query in queries]),
+        np.array([query.line for query in queries], np.int64),
+        np.array([query.bucket for query in queries], np.int64),
     )
     for array in arrays:
         array.setflags(write=False)
-    starts, goals, published, at, groups = arrays
+    starts, goals, lengths, numbers, buckets = arrays
+    texts = tuple(query.text for query in queries)
     return Scenario(
-        starts, goals, published, tuple(texts), at, groups, size, name.decode("utf-8", "replace"), str(path)
+        starts, goals, lengths, texts, numbers, buckets, queries[0].size, name.decode("utf-8", "replace"), str(path)
     )
 
 
+class _Query(NamedTuple):
+    """A line of a scenario: start and goal in one row, the length as a number and as it was published."""
+
+    line: int
+    ends: list[int]
+    length: float
+    text: str
+    bucket: int = -1
+    map_name: bytes = b""
+    size: tuple[int, int] | None = None
+
+
+def _is_solid(path: Path, lines: list[bytes]) -> bool:
+    """Tell whether the file is a ``.3dscen``, by its name or by the name of a map alone in its second line."""
+    head = lines[0].split()
+    if head[:1] != [b"version"] or len(head) != 2:
+        raise FormatError(f"{path}, line 1: a scenario begins with 'version 1', not with {quoted(lines[0])}")
+    if head[1] not in (b"1", b"1.0"):
+        raise FormatError(f"{path}, line 1: only scenarios of version 1 are read, not of {quoted(head[1])}")
+    second = lines[1].strip() if len(lines) > 1 else b""
+    words = len(second.split())
+    solid = words == 1 or any(suffix.lower() == ".3dscen" for suffix in path.suffixes[-2:])
+    if solid and words != 1:
+        raise FormatError(f"{path}, line 2: the name of the map belongs here, not {quoted(second)}")
+    return solid
+
+
+def _solid_query(where: str, number: int, content: bytes) -> _Query:
+    words = _words(where, content, "sx sy sz gx gy gz length ratio")
+    if _length(words[7]) is None:
+        raise FormatError(f"{where}: the ratio must be a number of 0 or more, not {quoted(words[7])}")
+    ends = [_integer(where, "a coordinate", word) for word in words[:6]]
+    return _Query(number, ends, _published(where, words[6]), words[6].decode("ascii"))
+
+
+def _flat_query(where: str, number: int, content: bytes, first: _Query | None) -> _Query:
+    """Read a line of a ``.scen``, whose map must be that of the ``first`` line, if there was one."""
+    words = _words(where, content, "bucket map width height sx sy gx gy length")
+    bucket = _integer(where, "the bucket", words[0])
+    size = _integer(where, "the width", words[2]), _integer(where, "the height", words[3])
+    if first is not None and first.size is not None and first.size != size:
+        raise FormatError(
+            f"{where}: a map of {size[0]} x {size[1]} cells, "
+            f"and one of {first.size[0]} x {first.size[1]} in the lines before"
+        )
+    if first is not None and first.map_name != words[1]:
+        raise FormatError(f"{where}: the map is {quoted(words[1])}, and {quoted(first.map_name)} in the lines before")
+    ends = [_integer(where, "a coordinate", word) for word in words[4:8]]
+    for value, side in zip(ends, size * 2, strict=True):
+        if value >= side:
+            raise FormatError(
+                f"{where}: the query {' '.join(map(str, ends))} leaves its map of {size[0]} x {size[1]} cells"
+            )
+    return _Query(number, ends, _published(where, words[8]), words[8].decode("ascii"), bucket, words[1], size)
+
+
+def _words(where: str, content: bytes, fields: str) -> list[bytes]:
+    """Split a query into as many words as there are names in ``fields``."""
+    # Names of maps may hold spaces where the fields are parted by tabs.
+    words = [word.strip() for word in content.split(b"\t")] if b"\t" in content else content.split()
+    if len(words) != fields.count(" ") + 1:
+        raise FormatError(f"{where}: {len(words)} fields, and a query has '{fields}'")
+    return words
+
+
+def _published(where: str, word: bytes) -> float:
+    length = _length(word)
+    if length is None:
+        raise FormatError(f"{where}: the length must be a number of 0 or more, not {quoted(word)}")
+    return length
+
+
 def _integer(where: str, what: str, word: bytes) -> int:
-    value = whole(word)
+    value = whole_number(word)
     if value is None:
-        raise FormatError(f"{where}: {what} must be an integer of 0 or more, not {shown(word)}")
+        raise FormatError(f"{where}: {what} must be an integer of 0 or more, not {quoted(word)}")
     return value
 
 

@@ -145,7 +145,7 @@ def _record1(handle: IO[bytes]) -> tuple[dict[bytes, bytes], bytes]:
     (size,) = struct.unpack("<I", _exactly(handle, 4))
     header = _fields1(_exactly(handle, size))
     (size,) = struct.unpack("<I", _exactly(handle, 4))
-    # Of a chunk that is cut off, the messages before the cut are still good.
+    # The messages before the cut are still good where a chunk is cut off.
     return header, _exactly(handle, size, or_less=header.get(b"op") == b"\x05")
 
 

@@ -27,7 +27,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from hexmap.base.errors import FileAccessError, LogError, MissingDependencyError
-from hexmap.io.logs.log import Log, LogSettings, file_size, reason, shown
+from hexmap.base.text import reason, shown
+from hexmap.io.logs.log import Log, LogSettings, file_size
+from hexmap.io.read_file import cannot_read
 from hexmap.poses.pose import Pose, wrap_angle
 from hexmap.poses.scan import Event, Odometry, Scan
 
@@ -125,7 +127,7 @@ class BagLog(Log):
         try:
             size = file_size(path)
         except OSError as error:
-            raise FileAccessError(f"{path}: cannot be read: {reason(error)}") from error
+            raise cannot_read(path, error) from error
         super().__init__(path, settings, size)
         self._without_index = False
         self._mirrored = False
@@ -152,7 +154,7 @@ class BagLog(Log):
         except ModuleNotFoundError as error:
             raise MissingDependencyError(f"{self.path}: reading bags takes the package rosbags: {error}") from error
         except PermissionError as error:
-            raise FileAccessError(f"{self.path}: cannot be read: {reason(error)}") from error
+            raise cannot_read(self.path, error) from error
         except Exception as error:  # see above
             why = reason(error)
         if self.path.is_file() and self.format in ("rosbag1", "mcap"):
@@ -406,7 +408,7 @@ def _last(frame: str) -> str:
 
 
 def _stamp(header: Any, nanoseconds: int) -> float:
-    """Return the stamp in seconds; a header that was never filled in gives way to the time of recording."""
+    """Return the stamp in seconds: the header's, or the time of recording where that was never filled in."""
     seconds = header.stamp.sec + header.stamp.nanosec * 1e-9
     return float(seconds if seconds != 0 else nanoseconds * 1e-9)
 
@@ -463,7 +465,7 @@ def _between(edges: Edges, moving: set[str], robot: str, laser: str) -> Pose | N
 
 
 def _newest(held: Iterable[Event], last: Odometry | None, before: Odometry | None) -> Pose | None:
-    """Return the newest pose known when a scan has waited in vain."""
+    """Return the newest pose that is known, for a scan that no reading followed in time."""
     reading = last or before
     return None if reading is None else reading.pose
 

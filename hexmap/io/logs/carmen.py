@@ -20,17 +20,16 @@ tell anything; they are handed on and never used here.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hexmap.base.errors import FileAccessError, LogError
-from hexmap.io.logs.log import Log, LogSettings, file_size, plural, reason, shown
+from hexmap.base.text import plural, reason, shown
+from hexmap.io.logs.log import Log, LogSettings, file_size
+from hexmap.io.read_file import CHUNK, GzipError, cannot_read, inflated
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 
@@ -43,7 +42,6 @@ _PREFERENCE: dict[str | None, tuple[bytes, ...]] = {
 }
 _LASERS = frozenset((b"FLASER", b"RLASER", b"ROBOTLASER1", b"ROBOTLASER2"))
 _LOOK_AHEAD = 1000
-_CHUNK = 1 << 16
 # Far above any laser's line; a file without line ends must not fill the memory.
 _LONGEST_LINE = 1 << 23
 
@@ -66,12 +64,11 @@ class CarmenLog(Log):
         try:
             size = file_size(path)
         except OSError as error:
-            raise FileAccessError(f"{path}: cannot be read: {reason(error)}") from error
+            raise cannot_read(path, error) from error
         super().__init__(path, settings, size)
         self._compressed = compressed
         self._lines_read = 0
         self._whole_last_line = True
-        self._trouble = ""
         self._laser = self._look_ahead()
         if self._laser == b"RLASER" and self.mount is None:
             self._notes.append("the log does not say how the rear laser (RLASER) is mounted; set the mount")
@@ -102,11 +99,10 @@ class CarmenLog(Log):
         self.position = 0
         self._lines_read = 0
         self._whole_last_line = True
-        self._trouble = ""
         rest = b""
         number = 0
         try:
-            for text in self._inflated() if self._compressed else self._chunks():
+            for text in inflated(self._chunks()) if self._compressed else self._chunks():
                 lines = (rest + text).split(b"\n")
                 rest = lines.pop()
                 for line in lines:
@@ -117,9 +113,10 @@ class CarmenLog(Log):
                     raise LogError(f"{self.path}, line {number + 1}: longer than {_LONGEST_LINE} bytes")
         except OSError as error:
             raise FileAccessError(f"{self.path}: cannot be read after line {number}: {reason(error)}") from error
-        if self._trouble:
-            self._late_notes.append(f"the gzip file is {self._trouble}; read up to line {number}, its last whole one")
-        elif rest.strip():
+        except GzipError as error:
+            self._late_notes.append(f"the gzip file is {error}; read up to line {number}, its last whole one")
+            return
+        if rest.strip():
             self._whole_last_line = False
             self._lines_read = number + 1
             yield number + 1, rest
@@ -127,41 +124,14 @@ class CarmenLog(Log):
     def _chunks(self) -> Iterator[bytes]:
         """Yield the bytes of the file."""
         with open(self.path, "rb") as handle:
-            while chunk := handle.read(_CHUNK):
+            while chunk := handle.read(CHUNK):
                 self.position += len(chunk)
                 yield chunk
-
-    def _inflated(self) -> Iterator[bytes]:
-        """Yield the text inside the gzip file, as far as it is sound; ``_trouble`` says if not to its end.
-
-        Inflated here rather than by the gzip module, which gives up on a cut-off file before
-        handing out all that it holds.
-        """
-        inflate = zlib.decompressobj(wbits=31)
-        for chunk in self._chunks():
-            while chunk:
-                sound = inflate.copy()
-                try:
-                    # Bounded, because very regular text shrinks a thousandfold.
-                    text = inflate.decompress(chunk, _CHUNK * 4)
-                except zlib.error as error:
-                    self._trouble = f"damaged ({reason(error)})"
-                    yield _up_to_damage(sound, chunk)
-                    return
-                yield text
-                chunk = inflate.unconsumed_tail
-                if inflate.eof:
-                    # A gzip file may be several ones in a row, padded with zeros.
-                    chunk = inflate.unused_data.lstrip(b"\0")
-                    if chunk:
-                        inflate = zlib.decompressobj(wbits=31)
-        if not inflate.eof:
-            self._trouble = "cut off"
 
     def _events(self) -> Iterator[Event]:
         wanted = self._laser
         others = _LASERS if self.settings.laser is None else frozenset[bytes]()
-        # A log with ROBOTLASER1 and FLASER holds the same scans twice: leaving one out is no news.
+        # A log with ROBOTLASER1 and FLASER holds the same scans twice: leaving one out needs no warning.
         if wanted in (b"ROBOTLASER1", b"FLASER"):
             others = frozenset((b"RLASER", b"ROBOTLASER2")) & others
         stamp = 0.0
@@ -235,15 +205,6 @@ class CarmenLog(Log):
         names = ", ".join(tag.decode() for tag in _PREFERENCE.get(self.settings.laser, ()))
         names = names or str(self.settings.laser)
         return f"{self.path}: no laser reading ({names}) in {plural(self._lines_read, 'line')}"
-
-
-def _up_to_damage(inflate: Any, chunk: bytes) -> bytes:
-    """Inflate in small steps what lies before a damaged place; zlib gives nothing of a failing step."""
-    text = b""
-    with contextlib.suppress(zlib.error):
-        for start in range(0, len(chunk), 32):
-            text += inflate.decompress(chunk[start : start + 32])
-    return text
 
 
 def _tag(line: bytes) -> bytes:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, LogError
+from hexmap.base.text import plural
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
 
@@ -94,11 +95,6 @@ class Tally:
         if self.count == 0:
             self.first = where
         self.count += count
-
-
-def plural(count: int, noun: str) -> str:
-    """Return "1 line", "3 lines"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 class Beams:
@@ -238,21 +234,6 @@ class Log(ABC):
     @abstractmethod
     def _no_laser(self) -> str:
         """Say that there was no laser reading."""
-
-
-def shown(token: bytes | str, length: int = 24) -> str:
-    """Return a token of a log fit to be quoted in a message."""
-    text = token.decode("utf-8", "replace") if isinstance(token, bytes) else token
-    text = text if len(text) <= length else text[:length] + "..."
-    return text if text.isprintable() else ascii(text)[1:-1]
-
-
-def reason(error: BaseException) -> str:
-    """Return the first line of an error's text, or its kind where it has none."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    lines = str(error).strip().splitlines()
-    return lines[0].rstrip(".") if lines else type(error).__name__
 
 
 def file_size(path: Path) -> int:

@@ -6,7 +6,6 @@ import gzip
 import struct
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,8 @@ from hexmap.io.clouds.read_points import read_points
 from hexmap.io.clouds.scans import scans_to_points
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
+from tests.lattices import EXAMPLES
+from tests.observing import count_calls
 
 # Whole 64ths: every format, with float32 or nine digits, holds them exactly.
 POINTS = np.round(np.random.default_rng(1).normal(0.0, 640.0, (50, 3))) / 64.0
@@ -196,7 +197,7 @@ def test_a_file_cut_off_anywhere_is_one_clear_line_or_fewer_points(tmp_path: Pat
             assert np.array_equal(found.points[:-1], POINTS[: len(found) - 1, : found.dim])
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(sorted(SAMPLES)), st.data())
 def test_damage_is_never_anything_but_a_clear_line(tmp_path: Path, name: str, draw: st.DataObject) -> None:
     data = bytearray(SAMPLES[name][0])
@@ -213,7 +214,7 @@ def test_damage_is_never_anything_but_a_clear_line(tmp_path: Path, name: str, dr
         assert np.isfinite(found.points).all() and len(found) > 0
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4 * EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=300), st.sampled_from([None, "pcd", "ply", "text", "kitti", "npy"]))
 def test_bytes_of_any_kind_make_nothing_but_a_clear_line(tmp_path: Path, data: bytes, kind: str | None) -> None:
     path = tmp_path / "a"
@@ -608,12 +609,9 @@ def test_empty_damaged_and_foreign_files(tmp_path: Path) -> None:
     fails(tmp_path, lines(), "trajectory", name="a.tum")
 
 
-def test_large_text_is_quick(tmp_path: Path) -> None:
-    many = np.tile(POINTS, (2000, 1))
-    data = lines(many)
-    begin = time.perf_counter()
-    assert len(read(tmp_path, data)) == 100_000
-    assert time.perf_counter() - begin < 2.0
+def test_large_text_takes_no_calls_for_each_line(tmp_path: Path) -> None:
+    found, calls = count_calls(read, tmp_path, lines(np.tile(POINTS, (2000, 1))))
+    assert len(found) == 100_000 and calls < 10_000
 
 
 def test_importing_is_light() -> None:
@@ -758,9 +756,8 @@ def test_stairs_hall(data_dir: Path) -> None:
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["room_scan1", "room_scan2"])
 def test_room_scans(data_dir: Path, name: str) -> None:
-    begin = time.perf_counter()
-    found = read_points(data_dir / "scans3d" / f"{name}.pcd")
-    assert time.perf_counter() - begin < 1.0
+    found, calls = count_calls(read_points, data_dir / "scans3d" / f"{name}.pcd")
+    assert calls < len(found)  # of decompressing, which goes in runs of bytes
     given_points = len(found)
     near = PointFilter(min_range=0.5).apply_counted(found.points)[1]
     same = PointFilter(unique=True).apply_counted(found.points)[1]

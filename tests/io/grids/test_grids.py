@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import itertools
 import math
+import struct
+import zlib
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,20 +18,22 @@ from hypothesis.extra import numpy as hnp
 
 from hexmap.base.errors import ArgumentError, BoundsError, FileAccessError, FormatError, TooLargeError
 from hexmap.graph.lattice_graph import LatticeGraph
-from hexmap.io.grids import grid_map as _grid
-from hexmap.io.grids.grid_map import BLOCKED, FREE, UNKNOWN, GridMap
+from hexmap.io.grids.grid_map import MAX_CELLS, GridMap
 from hexmap.io.grids.open_grid import open_grid
+from hexmap.io.grids.ros_yaml import read_entries
 from hexmap.io.grids.scenarios import read_scenario
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
 from tests.lattices import CASES, EXAMPLES, JIT, PART, SHEARED, Case
 
+UNKNOWN, FREE, OCCUPIED = CellState
 GRAPH_CASES = [*CASES, *SHEARED]
 # Without the compiler only the smallest of the real maps are read.
 compiled = pytest.mark.skipif(not JIT, reason="takes minutes without the compiler")
 
 
 def random_states(rng: np.random.Generator, shape: tuple[int, ...], unknown: bool = True) -> np.ndarray:
-    return rng.choice(np.array([0, 1, 1, 2 if unknown else 1], np.uint8), shape)
+    return rng.choice(np.array([OCCUPIED, FREE, FREE, UNKNOWN if unknown else FREE], np.uint8), shape)
 
 
 def write(path: Path, data: bytes | str) -> Path:
@@ -38,16 +42,16 @@ def write(path: Path, data: bytes | str) -> Path:
     return path
 
 
-def exact_cell(world: GridMap, point: np.ndarray) -> tuple[int, ...]:
+def exact_cell(grid: GridMap, point: np.ndarray) -> tuple[int, ...]:
     """The cell of a point of a grid that is not turned, in exact numbers after the rounding to 2^-32."""
-    quotient = (point - world.origin) / world.cell
+    quotient = (point - grid.origin) / grid.cell
     return tuple(math.floor(Fraction(round(Fraction(float(q)) * 2**32), 2**32)) for q in quotient)
 
 
-def exact_state(world: GridMap, point: np.ndarray) -> int:
-    cell = exact_cell(world, point)
-    inside = all(0 <= c < s for c, s in zip(cell, world.states.shape, strict=True))
-    return int(world.states[cell]) if inside else BLOCKED
+def exact_state(grid: GridMap, point: np.ndarray) -> int:
+    cell = exact_cell(grid, point)
+    inside = all(0 <= c < s for c, s in zip(cell, grid.states.shape, strict=True))
+    return int(grid.states[cell]) if inside else OCCUPIED
 
 
 # ---------------------------------------------------------------------- the value
@@ -56,54 +60,54 @@ def exact_state(world: GridMap, point: np.ndarray) -> int:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_states_of_points_are_those_of_the_exact_cell(dim: int) -> None:
     rng = np.random.default_rng(5)
-    world = GridMap(random_states(rng, (7, 5, 6)[:dim]), 0.1, [0.3, -0.7, 1.1][:dim])
-    uniform = rng.uniform(world.low - 0.2, world.high + 0.2, (int(800 * PART), dim))
+    grid = GridMap(random_states(rng, (7, 5, 6)[:dim]), 0.1, [0.3, -0.7, 1.1][:dim])
+    uniform = rng.uniform(grid.low - 0.2, grid.high + 0.2, (int(800 * PART), dim))
     # Whole centimetres, in three spellings that differ in their last bits: ties.
     ticks = rng.integers(-20, 90, (int(800 * PART), dim))
     spellings = [ticks * 0.01, ticks / 100.0, ticks * 0.1 / 10.0]
     for points in [uniform, *spellings]:
-        assert world.state_at(points).tolist() == [exact_state(world, p) for p in points]
-        assert world.cell_of(points).tolist() == [list(exact_cell(world, p)) for p in points]
-    assert len({world.state_at(points).tobytes() for points in spellings}) == 1
+        assert grid.state_at(points).tolist() == [exact_state(grid, p) for p in points]
+        assert grid.cell_of(points).tolist() == [list(exact_cell(grid, p)) for p in points]
+    assert len({grid.state_at(points).tobytes() for points in spellings}) == 1
 
 
 def test_a_point_on_a_border_is_in_the_higher_cell() -> None:
-    world = GridMap(np.array([[1, 0], [0, 1]], np.uint8), 0.1, [0.0, 0.0])
+    grid = GridMap(np.array([[FREE, OCCUPIED], [OCCUPIED, FREE]], np.uint8), 0.1, [0.0, 0.0])
     points = [[0.1, 0.1], [0.3 - 0.2, 0.05], [0.0, 0.0], [0.2, 0.1], [0.1, 0.2], [-1e-13, 0.0], [-1e-9, 0.0]]
-    assert world.state_at(points).tolist() == [1, 0, 1, 0, 0, 1, 0]
+    assert grid.state_at(points).tolist() == [FREE, OCCUPIED, FREE, OCCUPIED, OCCUPIED, FREE, OCCUPIED]
 
 
 def test_far_and_not_finite_points_are_blocked() -> None:
-    world = GridMap(np.ones((2, 2), np.uint8), 1.0, [0, 0])
+    grid = GridMap(np.ones((2, 2), np.uint8), 1.0, [0, 0])
     points = np.array([[1, 1], [math.nan, 1], [1, math.inf], [-math.inf, 0], [1e300, 0], [1e18, 1], [-1e18, 1]])
-    assert world.state_at(points).tolist() == [1, 0, 0, 0, 0, 0, 0]
-    assert world.free_at(points, unknown="free").tolist() == [True] + [False] * 6
+    assert grid.state_at(points).tolist() == [FREE] + [OCCUPIED] * 6
+    assert grid.free_at(points, unknown="free").tolist() == [True] + [False] * 6
     for bad in points[[1, 2, 3, 4]]:
         with pytest.raises(BoundsError, match="point 1 is not finite or out of range"):
-            world.cell_of([[0, 0], bad])
+            grid.cell_of([[0, 0], bad])
 
 
 def test_unknown_cells_are_what_they_are_said_to_be() -> None:
-    world = GridMap(np.array([[0, 1, 2]], np.uint8), 1.0, [0, 0])
+    grid = GridMap(np.array([[OCCUPIED, FREE, UNKNOWN]], np.uint8), 1.0, [0, 0])
     points = [[0.5, 0.5], [0.5, 1.5], [0.5, 2.5], [0.5, 3.5]]
-    assert world.state_at(points).tolist() == [BLOCKED, FREE, UNKNOWN, BLOCKED]
-    assert world.free_at(points).tolist() == [False, True, False, False]
-    assert world.free_at(points, unknown="free").tolist() == [False, True, True, False]
-    assert world.has_unknown
+    assert grid.state_at(points).tolist() == [OCCUPIED, FREE, UNKNOWN, OCCUPIED]
+    assert grid.free_at(points).tolist() == [False, True, False, False]
+    assert grid.free_at(points, unknown="free").tolist() == [False, True, True, False]
+    assert grid.has_unknown
     with pytest.raises(ArgumentError, match="blocked or free, not 'open'"):
-        world.free_at(points, unknown="open")
+        grid.free_at(points, unknown="open")
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_centres_and_cells_are_inverse_also_turned(dim: int) -> None:
     rng = np.random.default_rng(2)
-    world = GridMap(random_states(rng, (4, 6, 3)[:dim]), 0.25, np.arange(dim) - 3.3, yaw=0.7)
+    grid = GridMap(random_states(rng, (4, 6, 3)[:dim]), 0.25, np.arange(dim) - 3.3, yaw=0.7)
     cells = rng.integers(-50, 50, (200, dim))
-    assert np.array_equal(world.cell_of(world.centre(cells)), cells)
-    inside = np.stack(np.indices(world.states.shape), axis=-1).reshape(-1, dim)
-    assert np.array_equal(world.state_at(world.centre(inside)), world.states.ravel())
-    low, high = world.low, world.high
-    for point in (world.centre(inside - 0.5), world.centre(inside + 0.5)):
+    assert np.array_equal(grid.cell_of(grid.centre(cells)), cells)
+    inside = np.stack(np.indices(grid.states.shape), axis=-1).reshape(-1, dim)
+    assert np.array_equal(grid.state_at(grid.centre(inside)), grid.states.ravel())
+    low, high = grid.low, grid.high
+    for point in (grid.centre(inside - 0.5), grid.centre(inside + 0.5)):
         assert (point >= low - 1e-12).all()
         assert (point <= high + 1e-12).all()
 
@@ -111,49 +115,50 @@ def test_centres_and_cells_are_inverse_also_turned(dim: int) -> None:
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("angle", [0.0, 0.3, -2.0, math.pi / 2, math.pi, 9.0])
 @pytest.mark.parametrize("about", [None, "somewhere"])
-def test_turning_a_world_turns_what_lies_at_every_point(dim: int, angle: float, about: str | None) -> None:
+def test_turning_a_grid_turns_what_lies_at_every_point(dim: int, angle: float, about: str | None) -> None:
     rng = np.random.default_rng(8)
-    world = GridMap(random_states(rng, (9, 4, 3)[:dim]), 0.5, [1.0, -2.0, 0.25][:dim], yaw=0.2, kind="x", y_down=True)
-    fixed = np.array([3.0, 1.0, 7.0])[:dim] if about else world.centre([np.array(world.states.shape) / 2 - 0.5])[0]
-    turned = world.turned(angle, fixed if about else None)
+    grid = GridMap(random_states(rng, (9, 4, 3)[:dim]), 0.5, [1.0, -2.0, 0.25][:dim], yaw=0.2, kind="x", y_down=True)
+    fixed = np.array([3.0, 1.0, 7.0])[:dim] if about else grid.centre([np.array(grid.states.shape) / 2 - 0.5])[0]
+    turned = grid.turned(angle, fixed if about else None)
     assert (turned.kind, turned.y_down, turned.cell) == ("x", True, 0.5)
     rotation = np.eye(dim)
     rotation[:2, :2] = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
-    points = rng.uniform(world.low - 1, world.high + 1, (500, dim))
+    points = rng.uniform(grid.low - 1, grid.high + 1, (500, dim))
     moved = (points - fixed) @ rotation.T + fixed
-    assert np.array_equal(turned.state_at(moved), world.state_at(points))
-    cells = np.stack(np.indices(world.states.shape), axis=-1).reshape(-1, dim)
-    assert np.allclose(turned.centre(cells), (world.centre(cells) - fixed) @ rotation.T + fixed, atol=1e-12)
+    assert np.array_equal(turned.state_at(moved), grid.state_at(points))
+    cells = np.stack(np.indices(grid.states.shape), axis=-1).reshape(-1, dim)
+    assert np.allclose(turned.centre(cells), (grid.centre(cells) - fixed) @ rotation.T + fixed, atol=1e-12)
     if about is None:
-        assert np.allclose((turned.low + turned.high) / 2, (world.low + world.high) / 2, atol=1e-12)
+        assert np.allclose((turned.low + turned.high) / 2, (grid.low + grid.high) / 2, atol=1e-12)
 
 
 @pytest.mark.parametrize("quarter", [1, 2, 3])
 def test_a_quarter_turn_permutes_the_centres_to_the_last_cell(quarter: int) -> None:
     rng = np.random.default_rng(1)
-    world = GridMap(random_states(rng, (6, 6)), 1.0, [-3, -3])
-    turned = world.turned(quarter * math.pi / 2)
+    grid = GridMap(random_states(rng, (6, 6)), 1.0, [-3, -3])
+    turned = grid.turned(quarter * math.pi / 2)
     cells = np.stack(np.indices((6, 6)), axis=-1).reshape(-1, 2)
     assert np.array_equal(
-        turned.state_at(world.centre(cells)).reshape(6, 6), np.rot90(world.states, quarter, axes=(0, 1))
+        turned.state_at(grid.centre(cells)).reshape(6, 6), np.rot90(grid.states, quarter, axes=(0, 1))
     )
     graph = turned.to_graph(Lattice.named("Z2", resolution=1.0))
     full = graph.inner_states()
-    assert full.sum() == (world.states == FREE).sum()
+    assert full.sum() == (grid.states == FREE).sum()
 
 
-def test_a_world_is_a_value() -> None:
+def test_a_grid_map_is_a_value() -> None:
     states = np.ones((2, 3), np.uint8)
-    world = GridMap(states, 1, [0, 0])
-    states[0, 0] = 0
-    assert world.states[0, 0] == 1
-    for array in (world.states, world.origin):
+    grid = GridMap(states, 1, [0, 0])
+    states[0, 0] = OCCUPIED
+    assert grid.states[0, 0] == FREE
+    for array in (grid.states, grid.origin):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
-    world.low[0] = 9
-    assert world.low[0] == 0
-    fortran = GridMap(np.asfortranarray(np.array([[1, 0], [2, 1]], np.uint8)), 1.0, [0, 0])
-    assert fortran.state_at([[0.5, 1.5], [1.5, 0.5]]).tolist() == [0, 2]
+    grid.low[0] = 9
+    assert grid.low[0] == 0
+    states = np.asfortranarray(np.array([[FREE, OCCUPIED], [UNKNOWN, FREE]], np.uint8))
+    fortran = GridMap(states, 1.0, [0, 0])
+    assert fortran.state_at([[0.5, 1.5], [1.5, 0.5]]).tolist() == [OCCUPIED, UNKNOWN]
 
 
 @pytest.mark.parametrize(
@@ -171,25 +176,25 @@ def test_a_world_is_a_value() -> None:
         ((np.ones((2, 2), np.uint8), 1.0, [0, 0], math.nan), "yaw"),
     ],
 )
-def test_what_is_no_world_is_refused(arguments: tuple, text: str) -> None:
+def test_what_is_no_grid_is_refused(arguments: tuple, text: str) -> None:
     with pytest.raises(ArgumentError, match=text):
         GridMap(*arguments)
 
 
-def test_wrong_arguments_of_a_world_are_refused() -> None:
-    world = GridMap(np.ones((2, 2), np.uint8), 1.0, [0, 0])
-    for call in (world.state_at, world.centre, world.cell_of):
+def test_wrong_arguments_of_a_grid_are_refused() -> None:
+    grid = GridMap(np.ones((2, 2), np.uint8), 1.0, [0, 0])
+    for call in (grid.state_at, grid.centre, grid.cell_of):
         with pytest.raises(ArgumentError, match=r"\(N, 2\), not \(1, 3\)"):
             call([[0, 0, 0]])
         assert len(call([])) == 0
     with pytest.raises(ArgumentError, match="angle"):
-        world.turned(math.nan)
+        grid.turned(math.nan)
     with pytest.raises(ArgumentError, match="2 finite numbers"):
-        world.turned(1.0, [0, 0, 0])
+        grid.turned(1.0, [0, 0, 0])
     with pytest.raises(ArgumentError, match="dimension 2 does not fit Z3"):
-        world.to_graph(Lattice.named("Z3"))
+        grid.to_graph(Lattice.named("Z3"))
     with pytest.raises(ArgumentError, match="at most 50 are allowed"):
-        world.to_graph(Lattice.named("Z2", resolution=0.1), max_cells=50)
+        grid.to_graph(Lattice.named("Z2", resolution=0.1), max_cells=50)
 
 
 # ---------------------------------------------------------------------- graphs
@@ -198,22 +203,22 @@ def test_wrong_arguments_of_a_world_are_refused() -> None:
 @pytest.mark.parametrize("case", GRAPH_CASES, ids=str)
 @pytest.mark.parametrize("unknown", ["blocked", "free"])
 @pytest.mark.parametrize("yaw", [0.0, 0.4])
-def test_a_graph_is_free_where_the_world_is_free_at_the_centre(case: Case, unknown: str, yaw: float) -> None:
+def test_a_graph_is_free_where_the_grid_is_free_at_the_centre(case: Case, unknown: str, yaw: float) -> None:
     rng = np.random.default_rng(11)
     lattice = case.lattice
     shape = ((11, 9, 7) if JIT else (5, 4, 3))[: case.dim]
-    world = GridMap(random_states(rng, shape), 2.0 * lattice.resolution, -3.7 * np.ones(case.dim), yaw=yaw)
+    grid = GridMap(random_states(rng, shape), 2.0 * lattice.resolution, -3.7 * np.ones(case.dim), yaw=yaw)
     for neighbourhood in (None, "nearest", "faces", "extended") if JIT else ("extended",):
-        graph = world.to_graph(lattice, unknown=unknown, neighbourhood=neighbourhood)
+        graph = grid.to_graph(lattice, unknown=unknown, neighbourhood=neighbourhood)
         flat = graph._inner_flat()
         centres = graph.centres(flat)
-        assert np.array_equal(graph.free[flat] != 0, world.free_at(centres, unknown))
+        assert np.array_equal(graph.free[flat] != 0, grid.free_at(centres, unknown))
         assert graph.free.sum() == graph.free[flat].sum()
         assert graph.free.any()
     # Clearance: from the blocked cells of the grid alone, not from unknown ones nor from the outside.
-    cells = world.cell_of(centres)
+    cells = grid.cell_of(centres)
     inside = ((cells >= 0) & (cells < np.array(shape))).all(axis=1)
-    blocked = centres[inside & (world.state_at(centres) == BLOCKED)]
+    blocked = centres[inside & (grid.state_at(centres) == OCCUPIED)]
     some = flat[rng.integers(0, len(flat), 200)]
     some = some[graph.free[some] != 0]
     slow = np.array([np.sqrt(((blocked - c) ** 2).sum(axis=1)).min() for c in graph.centres(some)])
@@ -277,23 +282,23 @@ def test_square_and_cubic_graphs_are_the_source_grid_index_for_index(
     rng = np.random.default_rng(4)
     states = random_states(rng, shape, unknown=False)
     path = write_map(tmp_path, states)
-    world = open_grid(path, cell=cell)
-    assert np.array_equal(world.states, states)
+    grid = open_grid(path, cell=cell)
+    assert np.array_equal(grid.states, states)
     for neighbourhood in (None, "extended", 8 if len(shape) == 2 else 26):
-        graph = world.to_graph(Lattice.named(name, resolution=cell), neighbourhood=neighbourhood)
+        graph = grid.to_graph(Lattice.named(name, resolution=cell), neighbourhood=neighbourhood)
         assert graph.first.tolist() == [0] * len(shape)
-        assert np.array_equal(graph.inner_states(), states)
-    fine = world.to_graph(Lattice.named(name, resolution=cell / 3))
+        assert np.array_equal(graph.inner_states(), states == FREE)
+    fine = grid.to_graph(Lattice.named(name, resolution=cell / 3))
     # A third of a cell: the middle one of three has the source cell's own centre.
     middle = np.stack(np.indices(shape), axis=-1).reshape(-1, len(shape)) * 3
-    assert np.array_equal(fine.free[fine.index_to_flat(middle)], states.ravel())
+    assert np.array_equal(fine.free[fine.index_to_flat(middle)], states.ravel() == FREE)
 
 
 @pytest.mark.parametrize("cell", [1.0, 0.1, 0.37])
 def test_centres_on_the_border_of_the_grid_belong_to_one_side_only(cell: float) -> None:
     # Half cells have centres on the low and the high border: the low one is in, the high one is not.
-    world = GridMap(np.ones((4, 4), np.uint8), cell, [-0.5 * cell] * 2)
-    graph = world.to_graph(Lattice.named("Z2", resolution=cell / 2))
+    grid = GridMap(np.ones((4, 4), np.uint8), cell, [-0.5 * cell] * 2)
+    graph = grid.to_graph(Lattice.named("Z2", resolution=cell / 2))
     assert graph.inner_states().sum() == 64
     assert graph.first.tolist() == [-1, -1]
     assert np.isinf(graph.clearance_at(graph._inner_flat())).all()
@@ -303,12 +308,12 @@ def test_centres_on_the_border_of_the_grid_belong_to_one_side_only(cell: float) 
 
 
 def movingai_text(states: np.ndarray, end: str = "\n") -> str:
-    rows = ["".join(("@" if v == BLOCKED else ".") for v in column) for column in states.T]
+    rows = ["".join(("@" if v == OCCUPIED else ".") for v in column) for column in states.T]
     return end.join(["type octile", f"height {states.shape[1]}", f"width {states.shape[0]}", "map", *rows]) + end
 
 
 def warframe_text(states: np.ndarray, end: str = "\n") -> str:
-    lines = [" ".join(map(str, v)) for v in np.argwhere(states == BLOCKED).tolist()]
+    lines = [" ".join(map(str, v)) for v in np.argwhere(states == OCCUPIED).tolist()]
     return end.join([f"voxel {' '.join(map(str, states.shape))}", *lines]) + end
 
 
@@ -322,7 +327,7 @@ def write_map(folder: Path, states: np.ndarray, suffix: str = "") -> Path:
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(
     hnp.arrays(
-        np.uint8, hnp.array_shapes(min_dims=2, max_dims=3, max_side=9), elements=st.sampled_from([BLOCKED, FREE])
+        np.uint8, hnp.array_shapes(min_dims=2, max_dims=3, max_side=9), elements=st.sampled_from([OCCUPIED, FREE])
     ),
     st.sampled_from(["\n", "\r\n"]),
     st.booleans(),
@@ -335,16 +340,16 @@ def test_grids_come_back_as_they_were_written(
     text = movingai_text(states, end) if states.ndim == 2 else warframe_text(states, end)
     text = text.removesuffix(end) if cut else text + end
     path = write(folder / (("grid.map" if states.ndim == 2 else "grid.3dmap") + (".gz" if packed else "")), text)
-    world = open_grid(path)
-    assert np.array_equal(world.states, states)
-    assert world.cell == 1.0
-    assert world.origin.tolist() == [-0.5] * states.ndim
-    assert (world.kind, world.y_down) == (("movingai", True) if states.ndim == 2 else ("warframe", False))
-    assert world.path == str(path)
+    grid = open_grid(path)
+    assert np.array_equal(grid.states, states)
+    assert grid.cell == 1.0
+    assert grid.origin.tolist() == [-0.5] * states.ndim
+    assert (grid.kind, grid.y_down) == (("movingai", True) if states.ndim == 2 else ("warframe", False))
+    assert grid.path == str(path)
 
 
 def test_the_kind_is_in_the_content_not_in_the_name(tmp_path: Path) -> None:
-    states = np.array([[1, 0], [1, 1]], np.uint8)
+    states = np.array([[FREE, OCCUPIED], [FREE, FREE]], np.uint8)
     for name in ("odd.txt", "odd", "odd.bt", "odd.map"):
         assert np.array_equal(open_grid(write(tmp_path / name, movingai_text(states))).states, states)
     packed = gzip.compress(movingai_text(states).encode())
@@ -353,7 +358,7 @@ def test_the_kind_is_in_the_content_not_in_the_name(tmp_path: Path) -> None:
 
 def test_terrain_of_movingai(tmp_path: Path) -> None:
     path = write(tmp_path / "a.map", "type octile\nwidth 7\nheight 1\nmap\n.GS@OTW")
-    assert open_grid(path).states.ravel().tolist() == [1, 1, 1, 0, 0, 0, 0]
+    assert open_grid(path).states.ravel().tolist() == [FREE] * 3 + [OCCUPIED] * 4
 
 
 HEAD = "type octile\nheight 2\nwidth 3\nmap\n"
@@ -454,20 +459,20 @@ def ros(folder: Path, image: bytes, yaml: str = YAML, name: str = "m.pgm") -> Gr
 
 
 def test_a_ros_map_has_its_top_row_at_the_largest_y(tmp_path: Path) -> None:
-    world = ros(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0]))
-    assert world.states.tolist() == [[1, 0], [1, 1], [0, 2]]
-    assert (world.cell, world.origin.tolist(), world.yaw) == (0.5, [1.0, -2.0], 0.0)
-    assert (world.kind, world.y_down) == ("ros", False)
-    assert world.state_at([[1.25, -1.25], [2.25, -1.25], [2.25, -1.75]]).tolist() == [BLOCKED, UNKNOWN, BLOCKED]
-    assert world.low.tolist() == [1.0, -2.0]
-    assert world.high.tolist() == [2.5, -1.0]
+    grid = ros(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0]))
+    assert grid.states.tolist() == [[FREE, OCCUPIED], [FREE, FREE], [OCCUPIED, UNKNOWN]]
+    assert (grid.cell, grid.origin.tolist(), grid.yaw) == (0.5, [1.0, -2.0], 0.0)
+    assert (grid.kind, grid.y_down) == ("ros", False)
+    assert grid.state_at([[1.25, -1.25], [2.25, -1.25], [2.25, -1.75]]).tolist() == [OCCUPIED, UNKNOWN, OCCUPIED]
+    assert grid.low.tolist() == [1.0, -2.0]
+    assert grid.high.tolist() == [2.5, -1.0]
 
 
 def test_a_turned_ros_map(tmp_path: Path) -> None:
-    world = ros(tmp_path, b"P5 3 2 255\n" + bytes([0, 254, 205, 254, 254, 0]), YAML.replace("-2, 0]", "-2, 1.5707963]"))
-    assert world.state_at([[0.25, -1.75]]).tolist() == [BLOCKED]
-    assert np.allclose(world.low, [0.0, -2.0])
-    assert np.allclose(world.high, [1.0, -0.5])
+    grid = ros(tmp_path, b"P5 3 2 255\n" + bytes([0, 254, 205, 254, 254, 0]), YAML.replace("-2, 0]", "-2, 1.5707963]"))
+    assert grid.state_at([[0.25, -1.75]]).tolist() == [OCCUPIED]
+    assert np.allclose(grid.low, [0.0, -2.0])
+    assert np.allclose(grid.high, [1.0, -0.5])
 
 
 @pytest.mark.parametrize("maximum", [255, 100, 1, 1000, 65535])
@@ -483,7 +488,7 @@ def test_every_grey_is_what_map_server_makes_of_it(
         image = f"P2\n# comment\n{len(greys)} # and here\n1\n{maximum}\n{values}\n".encode()
     else:
         image = f"P5\n{len(greys)} 1\n{maximum}\n".encode() + greys.astype(">u2" if maximum > 255 else "u1").tobytes()
-    world = ros(tmp_path, image, YAML.replace("negate: 0", f"negate: {negate}") + f"mode: {mode}\n")
+    grid = ros(tmp_path, image, YAML.replace("negate: 0", f"negate: {negate}") + f"mode: {mode}\n")
 
     def expected(grey: int) -> int:
         colour = grey if maximum == 255 else grey * (255.0 / maximum)
@@ -495,9 +500,9 @@ def test_every_grey_is_what_map_server_makes_of_it(
                 return UNKNOWN
         else:
             p = (255 - colour) / 255.0
-        return BLOCKED if p > 0.65 else FREE if p < 0.196 else UNKNOWN
+        return OCCUPIED if p > 0.65 else FREE if p < 0.196 else UNKNOWN
 
-    assert world.states[:, 0].tolist() == [expected(int(g)) for g in greys]
+    assert grid.states[:, 0].tolist() == [expected(int(g)) for g in greys]
 
 
 def test_png_images(tmp_path: Path) -> None:
@@ -507,15 +512,81 @@ def test_png_images(tmp_path: Path) -> None:
     colour = np.repeat(grey[:, :, None], 3, axis=2)
     imsave(tmp_path / "m.png", colour)
     # matplotlib writes an opaque alpha: map_server counts it in the mode trinary, (3 * 205 + 255) / 4 is free.
-    world = open_grid(write(tmp_path / "m.yaml", YAML.replace("m.pgm", "m.png")))
-    assert world.states.tolist() == [[1, 0], [1, 1], [0, 1]]
-    world = open_grid(write(tmp_path / "m.yaml", YAML.replace("m.pgm", "m.png") + "mode: scale\n"))
-    assert world.states.tolist() == [[1, 0], [1, 1], [0, 2]]
+    grid = open_grid(write(tmp_path / "m.yaml", YAML.replace("m.pgm", "m.png")))
+    assert grid.states.tolist() == [[FREE, OCCUPIED], [FREE, FREE], [OCCUPIED, FREE]]
+    grid = open_grid(write(tmp_path / "m.yaml", YAML.replace("m.pgm", "m.png") + "mode: scale\n"))
+    assert grid.states.tolist() == [[FREE, OCCUPIED], [FREE, FREE], [OCCUPIED, UNKNOWN]]
     cut = (tmp_path / "m.png").read_bytes()
     for data in (cut[:20], cut[:60]):
         write(tmp_path / "m.png", data)
         with pytest.raises(FormatError, match=r"m.png: the PNG image"):
             open_grid(tmp_path / "m.yaml")
+
+
+@pytest.mark.parametrize(
+    "kind", ["P", "P with alpha", "2 bits", "4 bits", "16 bits", "1 bit", "BMP", "BMP of a palette"]
+)
+def test_a_picture_of_another_kind_is_the_same_map(tmp_path: Path, kind: str) -> None:
+    from PIL import Image
+
+    greys = {"2 bits": [0, 85, 170, 255], "4 bits": [0, 51, 119, 255], "1 bit": [0, 255]}.get(kind, [0, 60, 205, 254])
+    values = np.random.default_rng(3).choice(greys, (6, 8)).astype(np.uint8)
+    expected = ros(tmp_path, b"P5 8 6 255\n" + values.tobytes())
+    picture, options, suffix = Image.fromarray(values), {}, ".bmp" if kind.startswith("BMP") else ".png"
+    if kind in ("P", "P with alpha", "BMP of a palette"):
+        picture = Image.fromarray((values + 1).astype(np.uint8)).convert("P")
+        picture.putpalette([max(0, k // 3 - 1) for k in range(768)])
+        options = {"transparency": 3} if "alpha" in kind else {}
+    elif kind in ("2 bits", "4 bits"):
+        bits = int(kind[0])
+        (tmp_path / "m.png").write_bytes(png_of_bits(values // (255 // (2**bits - 1)), bits))
+        picture = None
+    elif kind == "16 bits":
+        picture = Image.fromarray(values.astype(np.uint16) * 257)
+    elif kind == "1 bit":
+        picture = picture.convert("1")
+    if picture is not None:
+        picture.save(tmp_path / f"m{suffix}", **options)
+    yaml = YAML.replace("m.pgm", f"m{suffix}") + ("mode: scale\n" if "alpha" in kind else "")
+    assert np.array_equal(open_grid(write(tmp_path / "m.yaml", yaml)).states, expected.states)
+    with pytest.raises(FormatError, match="picture alone"):
+        open_grid(tmp_path / f"m{suffix}")
+
+
+def png_of_bits(values: np.ndarray, bits: int) -> bytes:
+    """A PNG of few bits a grey; values (H, W) whose rows fill whole bytes."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    single = ((values[:, :, None] >> np.arange(bits)[::-1]) & 1).astype(np.uint8).reshape(len(values), -1)
+    rows = b"".join(b"\0" + row.tobytes() for row in np.packbits(single, axis=1))
+    head = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], bits, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
+def test_a_picture_that_is_too_large_is_refused_by_its_header(tmp_path: Path) -> None:
+    data = bytearray(png_of_bits(np.zeros((1, 8), np.uint8), 4))
+    data[16:24] = struct.pack(">II", 99_999_999, 99_999_999)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    with pytest.raises(TooLargeError, match="99999999 x 99999999 cells"):
+        ros(tmp_path, bytes(data))
+
+
+@settings(max_examples=EXAMPLES, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, len(YAML)), st.sampled_from("[]{}'\"|>-#&*!%@:\t\n ,?~0a")), min_size=1, max_size=6
+    )
+)
+def test_damaged_yaml_is_one_clear_error_or_a_map(edits: list[tuple[int, str]]) -> None:
+    text = YAML
+    for at, mark in edits:
+        text = text[:at] + mark + text[at:]
+    try:
+        read_entries(Path("m.yaml"), text.encode())
+    except FormatError as error:
+        assert str(error).startswith("m.yaml") and "\n" not in str(error)
 
 
 @pytest.mark.parametrize(
@@ -528,19 +599,24 @@ def test_png_images(tmp_path: Path) -> None:
         YAML.replace("[1.0, -2, 0]", "[ +1. ,-2.0,\t.0 ] # x y yaw"),
         YAML.replace("[1.0, -2, 0]", "\n- 1.0\n- -2\n- 0"),
         YAML.replace("[1.0, -2, 0]", "\n  - 1.0\n  - -2\n  - 0"),
-        YAML + "\n# a remark\nmode: trinary\nauthor: somebody: else\n...\n",
+        YAML + "\n# a remark\nmode: trinary\nauthor: \"somebody: else\"\n...\n",
         YAML.replace("m.pgm", "../{folder}/m.pgm"),
+        YAML.replace("negate: 0\n", "negate:\t0\t# no\nit's:\t'a\ttab'\n").replace("0.65\n", "0.65\t\n"),
+        "{image: m.pgm, resolution: 0.5, origin: [1.0,\n -2, 0], negate: off, occupied_thresh: .65, free_thresh: .196}",
+        YAML + "zones:\n  - name: [a, {b: c}]\n    at: [1, 2]\nnote: |\n  two: lines\n  of: text\n",
+        YAML + "---\nimage: another.pgm\nresolution: [\n",
+        YAML.replace("m.pgm", "&file m.pgm") + "again: *file\nround: &round [*round]\n",
     ],
 )
 def test_spellings_of_the_yaml_file(tmp_path: Path, yaml: str) -> None:
-    world = ros(tmp_path, b"P5 2 1 255\n\x00\xfe", yaml.replace("{folder}", tmp_path.name))
-    assert world.states.tolist() == [[0], [1]]
-    assert (world.cell, world.origin.tolist(), world.yaw) == (0.5, [1.0, -2.0], 0.0)
+    grid = ros(tmp_path, b"P5 2 1 255\n\x00\xfe", yaml.replace("{folder}", tmp_path.name))
+    assert grid.states.tolist() == [[OCCUPIED], [FREE]]
+    assert (grid.cell, grid.origin.tolist(), grid.yaw) == (0.5, [1.0, -2.0], 0.0)
 
 
 def test_names_with_blanks_and_marks(tmp_path: Path) -> None:
     for name, text in (("my map#1.pgm", "my map#1.pgm"), ("it's.pgm", "'it''s.pgm'"), ('a"b.pgm', '"a\\"b.pgm" # "')):
-        assert ros(tmp_path, b"P5 1 1 255\n\xfe", YAML.replace("m.pgm", text), name).states.tolist() == [[1]]
+        assert ros(tmp_path, b"P5 1 1 255\n\xfe", YAML.replace("m.pgm", text), name).states.tolist() == [[FREE]]
 
 
 @pytest.mark.parametrize(
@@ -564,6 +640,17 @@ def test_names_with_blanks_and_marks(tmp_path: Path) -> None:
         ("m.pgm", "", "line 1: the image must be the name of a file, not ''"),
         ("negate: 0", "negate: 0\nmode: colour", "line 5: the mode is one of trinary, scale, raw, not 'colour'"),
         ("negate: 0", "negate: 0\n- 5", "line 5: not 'key: value': '- 5'"),
+        ("negate: 0", "negate: 0\nauthor: a: b", "line 5: not 'key: value': 'author: a: b'"),
+        ("negate: 0", "negate: 0x1", "line 4: 'negate' must be 0 or 1, not '0x1'"),
+        ("0.5", "1_0", "line 2: 'resolution' must be a finite number, not '1_0'"),
+        ("0.5", ".nan", "line 2: 'resolution' must be a finite number, not '.nan'"),
+        ("0.5", "{a: 1}", "line 2: 'resolution' must be a finite number, not a nested value"),
+        ("[1.0, -2, 0]", "[1.0, -2, [0]]", r"line 3: 'origin' must be \[x, y, yaw\], not a nested value"),
+        (YAML, "- image\n", "line 1: not 'key: value': '- image'"),
+        ("negate: 0", "negate: *no", "line 4: not 'key: value': 'negate: \\*no' .found undefined alias"),
+        ("negate: 0", "note: " + "[" * 2000, "not YAML: maximum recursion|line 4"),
+        ("negate: 0", "note: a\x07b", "m.yaml: not YAML: unacceptable character"),
+        ("negate: 0", "# " + "x" * 300_000, "bytes are too many for the YAML file of a ROS map"),
     ],
 )
 def test_what_is_wrong_with_a_yaml_file(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -621,11 +708,11 @@ def test_what_hexmap_exports_comes_back(tmp_path: Path) -> None:
         lists.append(VoxelList.from_points(points, lattice))
     map = Map([Level(*lists)])
     path, _ = export_ros(map, tmp_path / "x.yaml")
-    world = open_grid(path)
+    grid = open_grid(path)
     states = map.state()
-    assert (world.state_at(states.occupied.centres()) == BLOCKED).all()
-    assert (world.state_at(states.free.centres()) == FREE).all()
-    assert [(world.states == s).sum() for s in (BLOCKED, FREE)] == [len(states.occupied), len(states.free)]
+    assert (grid.state_at(states.occupied.centres()) == OCCUPIED).all()
+    assert (grid.state_at(states.free.centres()) == FREE).all()
+    assert [(grid.states == s).sum() for s in (OCCUPIED, FREE)] == [len(states.occupied), len(states.free)]
 
 
 # ---------------------------------------------------------------------- OctoMap
@@ -660,7 +747,7 @@ def octree(
                 below += node(level + 1, at)
             elif kind:
                 nodes += 1
-                leaves.append((at, side, FREE if kind == 1 else BLOCKED))
+                leaves.append((at, side, FREE if kind == 1 else OCCUPIED))
         bits = sum(kind << (2 * child) for child, kind in enumerate(kinds))
         return bytes([bits & 255, bits >> 8]) + below
 
@@ -681,19 +768,19 @@ def test_octrees_against_their_leaves(tmp_path: Path, seed: int) -> None:
     tree, nodes, leaves = octree(rng, 4, seed % 8)
     if not leaves:
         pytest.skip("a tree without leaves")
-    world = open_grid(write(tmp_path / "a.bt", octomap_bytes(tree, nodes)))
+    grid = open_grid(write(tmp_path / "a.bt", octomap_bytes(tree, nodes)))
     low = np.min([key for key, _, _ in leaves], axis=0)
     high = np.max([np.add(key, side) for key, side, _ in leaves], axis=0)
     expected = np.full(high - low, UNKNOWN, np.uint8)
     for key, side, state in leaves:
         a, b, c = key - low
         expected[a : a + side, b : b + side, c : c + side] = state
-    assert np.array_equal(world.states, expected)
-    assert (world.kind, world.cell) == ("octomap", 0.05)
+    assert np.array_equal(grid.states, expected)
+    assert (grid.kind, grid.cell) == ("octomap", 0.05)
     key, side, state = leaves[-1]
     centre = (np.array(key) - 32768 + 0.5) * 0.05
-    assert world.state_at([centre]).tolist() == [state]
-    assert np.allclose(world.centre([key - low])[0], centre, atol=1e-9)
+    assert grid.state_at([centre]).tolist() == [state]
+    assert np.allclose(grid.centre([key - low])[0], centre, atol=1e-9)
 
 
 def test_what_is_wrong_with_an_octomap(tmp_path: Path) -> None:
@@ -767,7 +854,7 @@ def test_a_scenario_is_checked_against_its_map(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="made for a map of 3 x 2 cells, the map given has 2 x 3"):
         scenario.check(GridMap(np.ones((2, 3), np.uint8), 1.0, [0, 0]))
     walls = np.ones((3, 2), np.uint8)
-    walls[2, 1] = 0
+    walls[2, 1] = OCCUPIED
     with pytest.raises(FormatError, match=r"a.scen, line 3: the start \(2, 1\) is not free in the map given"):
         scenario.check(GridMap(walls, 1.0, [0, 0]))
     solid = read_scenario(write(tmp_path / "a.3dscen", SCEN3))
@@ -844,18 +931,18 @@ def test_what_is_wrong_with_a_scenario(tmp_path: Path, name: str, text: str, mes
 )
 def test_movingai_maps_and_their_scenarios(data_dir: Path, name: str, shape: tuple[int, int], free: int) -> None:
     path = data_dir / "planning" / "movingai" / f"{name}.map"
-    world = open_grid(path)
-    assert world.states.shape == shape
-    assert (world.states == FREE).sum() == free
+    grid = open_grid(path)
+    assert grid.states.shape == shape
+    assert (grid.states == FREE).sum() == free
     rows = [line for line in path.read_text().splitlines()[4:] if line]
     x, y = np.random.default_rng(0).integers(0, shape, (500, 2)).T
-    assert [world.states[a, b] == FREE for a, b in zip(x, y, strict=True)] == [
+    assert [grid.states[a, b] == FREE for a, b in zip(x, y, strict=True)] == [
         rows[b][a] in ".GS" for a, b in zip(x, y, strict=True)
     ]
     scenario = read_scenario(f"{path}.scen")
-    scenario.check(world)
-    graph = world.to_graph(Lattice.named("Z2", resolution=1.0), neighbourhood=8)
-    assert np.array_equal(graph.inner_states(), world.states)
+    scenario.check(grid)
+    graph = grid.to_graph(Lattice.named("Z2", resolution=1.0), neighbourhood=8)
+    assert np.array_equal(graph.inner_states(), grid.states == FREE)
     assert graph.first.tolist() == [0, 0]
     # The octile distance is a bound of every published length, to the digits published.
     d = np.sort(np.abs(scenario.goals - scenario.starts), axis=1)
@@ -889,15 +976,15 @@ def test_published_lengths_are_those_of_the_graph(data_dir: Path) -> None:
 )
 def test_warframe_maps_and_their_scenarios(data_dir: Path, name: str, shape: tuple[int, ...], blocked: int) -> None:
     path = data_dir / "planning" / "warframe" / f"{name}.3dmap.gz"
-    world = open_grid(path)
-    assert world.states.shape == shape
+    grid = open_grid(path)
+    assert grid.states.shape == shape
     with gzip.open(path, "rt") as handle:
         voxels = np.loadtxt(itertools.islice(handle, 1, None), dtype=np.int64)
-    assert len(np.unique(voxels, axis=0)) == blocked == np.count_nonzero(world.states == BLOCKED)
-    assert (world.states[tuple(voxels.T)] == BLOCKED).all()
+    assert len(np.unique(voxels, axis=0)) == blocked == np.count_nonzero(grid.states == OCCUPIED)
+    assert (grid.states[tuple(voxels.T)] == OCCUPIED).all()
     scenario = read_scenario(path.with_name(f"{name}.3dmap.3dscen.gz"))
     assert len(scenario) == 10000
-    scenario.check(world)
+    scenario.check(grid)
 
 
 @pytest.mark.data
@@ -906,13 +993,13 @@ def test_warframe_maps_and_their_scenarios(data_dir: Path, name: str, shape: tup
     ("name", "edge", "occupied", "free"), [("fr_079", 0.05, 401_373, 4_807_673), ("geb079", 0.08, 185_673, 950_759)]
 )
 def test_octomaps_of_real_places(data_dir: Path, name: str, edge: float, occupied: int, free: int) -> None:
-    world = open_grid(data_dir / "maps" / f"{name}.bt")
-    assert world.cell == edge
-    assert [np.count_nonzero(world.states == s) for s in (BLOCKED, FREE)] == [occupied, free]
+    grid = open_grid(data_dir / "maps" / f"{name}.bt")
+    assert grid.cell == edge
+    assert [np.count_nonzero(grid.states == s) for s in (OCCUPIED, FREE)] == [occupied, free]
     # The box is that of the known voxels.
     for axis in range(3):
         for end in (0, -1):
-            assert (np.take(world.states, end, axis=axis) != UNKNOWN).any()
+            assert (np.take(grid.states, end, axis=axis) != UNKNOWN).any()
 
 
 @pytest.mark.data
@@ -921,38 +1008,38 @@ def test_octomaps_of_real_places(data_dir: Path, name: str, edge: float, occupie
 def test_ros_maps_of_real_places(data_dir: Path, name: str) -> None:
     from matplotlib.image import imread
 
-    world = open_grid(data_dir / "maps" / f"{name}.yaml")
+    grid = open_grid(data_dir / "maps" / f"{name}.yaml")
     picture = imread(data_dir / "maps" / f"{name}.pgm")[::-1].T
-    for state, grey in ((FREE, 254), (UNKNOWN, 205), (BLOCKED, 0)):
-        assert (world.states[picture == grey] == state).all()
-    graph = world.to_graph(Lattice.named("A2", resolution=0.2))
+    for state, grey in ((FREE, 254), (UNKNOWN, 205), (OCCUPIED, 0)):
+        assert (grid.states[picture == grey] == state).all()
+    graph = grid.to_graph(Lattice.named("A2", resolution=0.2))
     some = np.flatnonzero(graph.free)[::997]
-    assert world.free_at(graph.centres(some)).all()
+    assert grid.free_at(graph.centres(some)).all()
     # Unknown cells are no obstacles: some are nearer than the nearest wall.
     from scipy.spatial import cKDTree
 
     flat = graph._inner_flat()
-    unknown = graph.centres(flat[world.state_at(graph.centres(flat)) == UNKNOWN])
+    unknown = graph.centres(flat[grid.state_at(graph.centres(flat)) == UNKNOWN])
     assert (cKDTree(unknown).query(graph.centres(some))[0] < graph.clearance_at(some)).any()
     with pytest.raises(FormatError, match=f"{name.split('.')[0]}.*yaml"):
         open_grid(data_dir / "maps" / f"{name}.pgm")
 
 
 def test_dense_arrays_are_bounded_by_one_number() -> None:
-    assert _grid.MAX_CELLS == 2_000_000_000
+    assert MAX_CELLS == 2_000_000_000
 
 
 # ---------------------------------------------------------------------- clearance to the squares themselves
 
 
-def to_squares(world: GridMap, points: np.ndarray) -> np.ndarray:
-    """The distance of points (N, n) to the nearest of all blocked squares or cubes, turned back, each tried."""
-    c, s = math.cos(world.yaw), math.sin(world.yaw)
-    d = points - world.origin
+def to_squares(grid: GridMap, points: np.ndarray) -> np.ndarray:
+    """The distance of points (N, n) to the nearest of all occupied squares or cubes, turned back, each tried."""
+    c, s = math.cos(grid.yaw), math.sin(grid.yaw)
+    d = points - grid.origin
     d[:, :2] = d[:, :2] @ np.array([[c, -s], [s, c]])
     best = np.full(len(points), np.inf)
-    for cell in np.argwhere(world.states == BLOCKED):
-        nearest = np.clip(d, cell * world.cell, (cell + 1) * world.cell)
+    for cell in np.argwhere(grid.states == OCCUPIED):
+        nearest = np.clip(d, cell * grid.cell, (cell + 1) * grid.cell)
         best = np.minimum(best, np.linalg.norm(d - nearest, axis=1))
     return best
 
@@ -961,7 +1048,7 @@ def to_squares(world: GridMap, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("case", GRAPH_CASES if JIT else CASES, ids=str)
 @pytest.mark.parametrize("yaw", [0.0, 0.4, math.pi / 2] if JIT else [0.4])
 @pytest.mark.parametrize("scale", [0.4, 2.3])
-def test_clearance_is_that_to_the_squares_of_the_world(
+def test_clearance_is_that_to_the_squares_of_the_grid(
     case: Case, yaw: float, scale: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(3)
@@ -972,22 +1059,22 @@ def test_clearance_is_that_to_the_squares_of_the_world(
     shape = (small if scale < 1 else large)[: case.dim]
     states = random_states(rng, shape)
     states[rng.random(shape) < 0.4] = UNKNOWN
-    states[:3, :4] = BLOCKED  # a solid with an inside
-    world = GridMap(states, scale * r, -3.71 * r * np.ones(case.dim), yaw=yaw)
-    graph = world.to_graph(lattice, unknown="free")
+    states[:3, :4] = OCCUPIED  # a solid with an inside
+    grid = GridMap(states, scale * r, -3.71 * r * np.ones(case.dim), yaw=yaw)
+    graph = grid.to_graph(lattice, unknown="free")
     flat = graph._inner_flat()
     x = graph.centres(flat)
     found = graph.clearance("cell")
     some = rng.permutation(len(flat))[: int(1500 * PART)]
-    assert np.allclose(found[flat[some]], to_squares(world, x[some]), rtol=1e-9, atol=1e-9 * r)
-    assert (found[flat][world._look_up(x, UNKNOWN) == BLOCKED] == 0.0).all()
+    assert np.allclose(found[flat[some]], to_squares(grid, x[some]), rtol=1e-9, atol=1e-9 * r)
+    assert (found[flat][grid.state_at(x, outside=UNKNOWN) == OCCUPIED] == 0.0).all()
     assert np.array_equal(graph.clearance_at(flat, "cell"), found[flat])
     free = graph.free[flat] != 0
     for radius in (0.0, *rng.choice(found[flat[free]], 3 if JIT else 1), 0.3 * r, 1.1 * r):
         wide = graph.with_clearance(radius, to="cell")
         assert np.array_equal(wide.free[flat] != 0, free & ~(found[flat] < radius * (1 - 1e-9)))
         assert wide.free.sum() == wide.free[flat].sum()
-        monkeypatch.setattr("hexmap.graph.lattice_graph._BALL", 0)
+        monkeypatch.setattr("hexmap.graph.clearance._BALL", 0)
         assert np.array_equal(graph.with_clearance(radius, to="cell").free, wide.free)
         monkeypatch.undo()
         assert np.array_equal(wide.clearance_at(flat, "cell"), found[flat])
@@ -996,16 +1083,16 @@ def test_clearance_is_that_to_the_squares_of_the_world(
 
 def test_distances_to_squares_in_plain_numbers() -> None:
     states = np.ones((9, 9), np.uint8)
-    states[4, 4] = BLOCKED
-    world = GridMap(states, 1.0, [-0.5, -0.5])
-    graph = world.to_graph(Lattice.named("Z2", resolution=0.5))
+    states[4, 4] = OCCUPIED
+    grid = GridMap(states, 1.0, [-0.5, -0.5])
+    graph = grid.to_graph(Lattice.named("Z2", resolution=0.5))
     at = graph.index_to_flat([[8, 8], [9, 8], [7, 8], [7, 7], [10, 8], [10, 10], [2, 8]])
     # Half a metre from the centre is the border, and the border has no clearance.
     expected = [0.0, 0.0, 0.0, 0.0, 0.5, math.sqrt(0.5), 2.5]
     assert graph.clearance_at(at, "cell") == pytest.approx(expected, rel=1e-14)
     free = graph.with_clearance(0.5, "cell").free
     assert free[at].tolist() == [0, 0, 0, 0, 1, 1, 1]
-    # Nothing is blocked: nothing is near, and what is outside the world is no obstacle.
+    # Nothing is blocked: nothing is near, and what is outside the grid is no obstacle.
     empty = GridMap(np.full((4, 3), UNKNOWN, np.uint8), 1.0, [0, 0]).to_graph(
         Lattice.named("A2", resolution=0.4), unknown="free"
     )
@@ -1021,14 +1108,14 @@ def test_distances_to_squares_in_plain_numbers() -> None:
 @compiled
 @pytest.mark.parametrize("name", ["arena", "den520d"])
 def test_a_robot_in_a_published_map_touches_no_square(data_dir: Path, name: str) -> None:
-    world = open_grid(data_dir / "planning" / "movingai" / f"{name}.map").turned(0.3)
-    graph = world.to_graph(Lattice.named("A2", resolution=0.5))
+    grid = open_grid(data_dir / "planning" / "movingai" / f"{name}.map").turned(0.3)
+    graph = grid.to_graph(Lattice.named("A2", resolution=0.5))
     nodes = np.flatnonzero(graph.with_clearance(0.5, to="cell").free)
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     rim = 0.499999 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     some = graph.centres(nodes)[::7]
-    inside = ((some > world.low + 1) & (some < world.high - 1)).all(axis=1)
-    assert (world._look_up((some[inside][:, None] + rim).reshape(-1, 2), UNKNOWN) != BLOCKED).all()
+    inside = ((some > grid.low + 1) & (some < grid.high - 1)).all(axis=1)
+    assert (grid.state_at((some[inside][:, None] + rim).reshape(-1, 2), outside=UNKNOWN) != OCCUPIED).all()
     # By centres alone it did.
     near = np.flatnonzero(graph.with_clearance(0.5).free)
     assert (graph.clearance_at(near, "cell") < 0.3).any()

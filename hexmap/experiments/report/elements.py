@@ -1,6 +1,6 @@
-"""What a report is made of: headings, paragraphs, tables, figures and verdicts, and the text that they hold.
+"""The elements of a report: headings, paragraphs, tables, figures and verdicts, and the text that they hold.
 
-A piece holds what every format shows of it, as clean plain text; each format escapes what it must.
+An element holds what every format shows of it, as clean plain text; each format escapes what it must.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import platform
 import re
 from dataclasses import dataclass
 from importlib import metadata
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -51,6 +51,7 @@ class Verdict:
 class Heading:
     """A heading, and where links to it lead."""
 
+    kind: ClassVar[str] = "heading"
     text: str
     level: int
     anchor: str
@@ -60,6 +61,7 @@ class Heading:
 class Paragraph:
     """A paragraph, on one line."""
 
+    kind: ClassVar[str] = "paragraph"
     text: str
 
 
@@ -67,7 +69,9 @@ class Paragraph:
 class Table:
     """A table: what its file holds, and what a page shows."""
 
+    kind: ClassVar[str] = "table"
     name: str
+    number: int  # of tables and verdicts together
     columns: dict[str, str]  # key -> heading
     rows: list[dict[str, Any]]
     texts: list[list[str]]  # as shown
@@ -80,24 +84,27 @@ class Table:
         """Return the caption, and what the table leaves out."""
         hidden = len(self.rows) - self.shown
         words = f"The first {self.shown:,} of {len(self.rows):,} rows." if hidden > 0 else ""
-        return " ".join(part for part in (self.caption, words) if part)
+        return " ".join(text for text in (self.caption, words) if text)
 
 
 @dataclass(frozen=True)
 class Figure:
     """A figure, drawn in every format."""
 
+    kind: ClassVar[str] = "figure"
     name: str
     number: int
     caption: str
-    files: dict[str, bytes]  # kind -> content
+    files: dict[str, bytes]  # png, pdf, svg -> content
 
 
 @dataclass(frozen=True)
 class Verdicts:
     """Claims and what became of each."""
 
+    kind: ClassVar[str] = "verdicts"
     name: str
+    number: int  # of tables and verdicts together
     rows: list[Verdict]
 
     @property
@@ -108,7 +115,7 @@ class Verdicts:
         return ", ".join(f"{count} {outcome if count == 1 else words[outcome]}" for outcome, count in counts if count)
 
 
-Piece = Heading | Paragraph | Table | Figure | Verdicts
+Element = Heading | Paragraph | Table | Figure | Verdicts
 
 
 # ---------------------------------------------------------------------- text
@@ -129,11 +136,11 @@ def versions() -> str:
     """Return the versions that numbers and figures may depend on, for the foot of a page."""
     import matplotlib
 
-    parts = {
+    found = {
         "hexmap": __version__,
         "Python": platform.python_version(),
         "numpy": np.__version__,
         "numba": metadata.version("numba"),
         "matplotlib": matplotlib.__version__,
     }
-    return ", ".join(f"{name} {version}" for name, version in parts.items())
+    return ", ".join(f"{name} {version}" for name, version in found.items())

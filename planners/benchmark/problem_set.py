@@ -1,4 +1,4 @@
-"""The maps of the planning benchmark, with their queries."""
+"""The problem sets of the planning benchmark: maps, with published or random queries on them."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
-from hexmap.io.grids.grid_map import FREE, GridMap
+from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import read_scenario
-from planners.benchmark.cases import random_queries
+from hexmap.maps.cell_state import CellState
 from planners.benchmark.settings import BenchmarkSettings
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """A map and the queries on it.
+class ProblemSet:
+    """A map and the problems to solve on it.
 
     Attributes:
         name: of the file.
-        world: the map.
+        grid_map: the map.
         starts: (Q, n) source cells.
         goals: (Q, n) source cells.
         texts: published lengths as they stand in the file; empty where there are none.
@@ -33,7 +33,7 @@ class Course:
     """
 
     name: str
-    world: GridMap
+    grid_map: GridMap
     starts: NDArray[np.int64]
     goals: NDArray[np.int64]
     texts: tuple[str, ...]
@@ -41,22 +41,22 @@ class Course:
     style: tuple[str, int]
 
 
-def open_course(path: Path, settings: BenchmarkSettings) -> Course:
+def open_problem_set(path: Path, settings: BenchmarkSettings) -> ProblemSet:
     """Read a map and draw its queries: from the problems beside it, or at random where there are none.
 
     Raises:
         FormatError: a file is not what it should be.
         ArgumentError: the map has no two connected free cells.
     """
-    world = open_grid(path)
+    grid_map = open_grid(path)
     beside = scenario_beside(path)
     if beside is None:
-        starts, goals = random_queries(world.states, settings.queries, settings.seed)
+        starts, goals = random_queries(grid_map.states, settings.queries, settings.seed)
         if len(starts) == 0:
             raise ArgumentError(f"{path}: no two free cells are connected")
-        return Course(path.name, world, starts, goals, (), np.arange(len(starts)), ("f", 0))
+        return ProblemSet(path.name, grid_map, starts, goals, (), np.arange(len(starts)), ("f", 0))
     scenario = read_scenario(beside)
-    scenario.check(world)
+    scenario.check(grid_map)
     rng = np.random.default_rng([settings.seed, len(scenario.lengths)])
     useful = np.flatnonzero((scenario.starts != scenario.goals).any(axis=1))
     chosen = useful
@@ -66,7 +66,7 @@ def open_course(path: Path, settings: BenchmarkSettings) -> Course:
         raise ArgumentError(f"{beside}: has no problem whose start is not its goal")
     texts = tuple(scenario.texts[int(k)] for k in chosen)
     style = print_style([scenario.texts[int(k)] for k in useful])
-    return Course(path.name, world, scenario.starts[chosen], scenario.goals[chosen], texts, chosen, style)
+    return ProblemSet(path.name, grid_map, scenario.starts[chosen], scenario.goals[chosen], texts, chosen, style)
 
 
 def scenario_beside(path: Path) -> Path | None:
@@ -131,6 +131,29 @@ ROOTS = {
 }
 
 
-def free_cells(course: Course) -> int:
+def free_cells(problems: ProblemSet) -> int:
     """Return how many source cells are free."""
-    return int((course.world.states == FREE).sum())
+    return int((problems.grid_map.states == CellState.FREE).sum())
+
+
+def largest_component(states: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return the source cells (M, n) of the largest component of free cells, connected by faces."""
+    from scipy.ndimage import label
+
+    labels, count = label(states == CellState.FREE)
+    if count == 0:
+        return np.empty((0, states.ndim), np.int64)
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.argwhere(labels == int(sizes.argmax()))
+
+
+def random_queries(states: NDArray[np.uint8], count: int, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return seeded random starts and goals (count, n) in the largest component of free cells."""
+    cells = largest_component(states)
+    if len(cells) < 2:
+        return np.empty((0, states.ndim), np.int64), np.empty((0, states.ndim), np.int64)
+    rng = np.random.default_rng([seed, 7])
+    first = rng.integers(0, len(cells), count)
+    second = (first + rng.integers(1, len(cells), count)) % len(cells)
+    return cells[first], cells[second]

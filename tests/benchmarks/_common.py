@@ -1,24 +1,11 @@
-"""Timing and tables shared by the benchmarks."""
+"""What the benchmarks share: the folder of the data, versions, tables on the screen."""
 
 from __future__ import annotations
 
 import os
-import statistics
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-
-
-def median_seconds(function: Callable[[], object], repeats: int = 7) -> float:
-    """Return the median time of ``function``, after one run that is not counted."""
-    function()
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - begin)
-    return statistics.median(times)
 
 
 def data_folder() -> Path:

@@ -1,0 +1,55 @@
+"""Words for messages: what was read, how many there are, and why something failed."""
+
+from __future__ import annotations
+
+import re
+
+__all__ = ["plural", "quoted", "reason", "shown", "whole_number"]
+
+
+def shown(token: bytes | str, length: int = 24) -> str:
+    r"""Return a token of a file as it can stand in a message: short and printable, without quotes.
+
+    Examples:
+        >>> shown(b"range_max"), shown("1.0\x00"), shown("a" * 30, 5)
+        ('range_max', '1.0\\x00', 'aaaaa...')
+    """
+    text = token.decode("utf-8", "replace") if isinstance(token, bytes) else token
+    text = text if len(text) <= length else text[:length] + "..."
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
+def quoted(value: object, length: int = 40) -> str:
+    r"""Return a value as Python writes it, in ASCII and short: texts and bytes with quotes, numbers without.
+
+    Examples:
+        >>> quoted(b"type tile\r"), quoted(1.5), quoted("a" * 60, 12)
+        ("'type tile\\r'", '1.5', "'aaaaaaa...'")
+    """
+    text = ascii(value.decode("latin-1") if isinstance(value, bytes) else value)
+    if len(text) <= length:
+        return text
+    return text[: length - 4] + "...'" if isinstance(value, (bytes, str)) else text[: length - 3] + "..."
+
+
+def plural(count: int, noun: str) -> str:
+    """Return "1 point", "3 points"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def reason(error: BaseException) -> str:
+    """Return why something failed in one line: the system's words, or the first line of the error's text."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    lines = str(error).strip().splitlines()
+    return shown(lines[0].rstrip("."), 160) if lines else type(error).__name__
+
+
+def whole_number(token: bytes | str) -> int | None:
+    """Return the whole number of 0 or more that a token is, None for any other token.
+
+    At most 18 digits of ASCII: :func:`int` takes other scripts' digits, signs and underscores, too, and
+    takes minutes for a million digits.
+    """
+    text = token.decode("latin-1") if isinstance(token, bytes) else token
+    return int(text) if re.fullmatch(r"[0-9]{1,18}", text) else None

@@ -1,0 +1,117 @@
+"""Files into memory, out of gzip where they are in it, with the errors that all formats share."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import zlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from hexmap.base.errors import FileAccessError, FormatError, TooLargeError
+from hexmap.base.text import reason
+from hexmap.io.file_kinds import GZIP
+
+__all__ = ["CHUNK", "GzipError", "cannot_read", "inflated", "read_file"]
+
+CHUNK = 1 << 16  # bytes that are read and inflated at a time
+_GZIP_WINDOW = 31  # tells zlib that a gzip header and checksum surround the data
+
+
+class GzipError(ValueError):
+    """A gzip file ends too early or is damaged; the text completes "the gzip file is"."""
+
+
+def cannot_read(path: str | os.PathLike[str], error: BaseException) -> FileAccessError:
+    """Return the error of a file that cannot be opened or read, for ``raise ... from error``."""
+    return FileAccessError(f"{path}: cannot be read: {reason(error)}")
+
+
+def read_file(path: Path, limit: int | None = None) -> bytes:
+    """Return the bytes of a file, decompressed where it is gzip, whatever its name.
+
+    Args:
+        path: the file.
+        limit: the most bytes that are read, as they are and decompressed; None: any number.
+
+    Raises:
+        FileAccessError: the file is not there or cannot be read.
+        FormatError: it is empty, or its gzip is damaged or cut off.
+        TooLargeError: there are more bytes than ``limit``.
+    """
+    try:
+        with open(path, "rb") as handle:
+            size = os.fstat(handle.fileno()).st_size
+            if limit is not None and size > limit:
+                raise TooLargeError(f"{path}: the file has {size} bytes; at most {limit} are read")
+            data = handle.read()
+    except FileNotFoundError:
+        raise FileAccessError(f"{path}: no such file") from None
+    except TooLargeError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError: a path with a null character
+        raise cannot_read(path, error) from error
+    if GZIP.begins(data):
+        data = _decompressed(path, data, limit)
+        if not data:
+            raise FormatError(f"{path}: the file is empty (what is inside gzip is empty)")
+    if not data:
+        raise FormatError(f"{path}: the file is empty")
+    return data
+
+
+def _decompressed(path: Path, data: bytes, limit: int | None) -> bytes:
+    # A BytesIO hands its content over without a copy, and grows without holding all twice.
+    out = io.BytesIO()
+    try:
+        for text in inflated(data[at : at + CHUNK] for at in range(0, len(data), CHUNK)):
+            out.write(text)
+            if limit is not None and out.tell() > limit:
+                raise TooLargeError(f"{path}: the file holds more than {limit} bytes once decompressed")
+    except GzipError as error:
+        raise FormatError(f"{path}: the gzip file is {error} after {out.tell()} bytes of text") from error
+    return out.getvalue()
+
+
+def inflated(chunks: Iterable[bytes]) -> Iterator[bytes]:
+    """Yield the text inside a gzip file that comes in chunks: everything that is sound, then the error.
+
+    The gzip module gives up on a cut-off file before handing out all that it holds. No piece is larger
+    than four chunks, because very regular text shrinks a thousandfold.
+
+    Raises:
+        GzipError: the file is damaged, or ends too early; raised after all that is sound.
+    """
+    inflate: Any = zlib.decompressobj(_GZIP_WINDOW)
+    for chunk in chunks:
+        rest = chunk
+        while rest:
+            if inflate.eof:
+                # A gzip file may be several ones in a row, padded with zeros.
+                rest = rest.lstrip(b"\0")
+                if not rest:
+                    break
+                inflate = zlib.decompressobj(_GZIP_WINDOW)
+            sound = inflate.copy()
+            try:
+                text = inflate.decompress(rest, 4 * CHUNK)
+            except zlib.error as error:
+                if before := _before_damage(sound, rest):
+                    yield before
+                raise GzipError(f"damaged ({reason(error)})") from error
+            if text:
+                yield text
+            rest = inflate.unused_data if inflate.eof else inflate.unconsumed_tail
+    if not inflate.eof:
+        raise GzipError("cut off")
+
+
+def _before_damage(inflate: Any, chunk: bytes) -> bytes:
+    """Inflate in small steps what lies before a damaged place; zlib gives nothing of the step that fails."""
+    text = b""
+    with contextlib.suppress(zlib.error):
+        for start in range(0, len(chunk), 32):
+            text += inflate.decompress(chunk[start : start + 32])
+    return text
