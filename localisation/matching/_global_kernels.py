@@ -31,11 +31,13 @@ STRIDE = 8
 class ScanArrays(NamedTuple):
     """The scan, its most telling points first.
 
-    ``points`` (P, n) in metres, ``weights`` (P,) at most 257, ``rest`` (P + 1,) what each point and all after it can score,
+    ``points`` (P, n) in metres, ``waves`` (P, n, 2) the X and Y of each coordinate X cos(yaw) + Y sin(yaw) of the upright
+    sensor's points, ``weights`` (P,) at most 257, ``rest`` (P + 1,) what each point and all after it can score,
     ``stops`` (K,) after how many points a sum is looked at: often enough that 255 times their weight fits 16 bits.
     """
 
     points: np.ndarray
+    waves: np.ndarray
     weights: np.ndarray
     rest: np.ndarray
     stops: np.ndarray
@@ -137,76 +139,103 @@ def _yaw_range(rotations, level, q):
 
 
 @njit(cache=True, nogil=True)
-def _point_rows(tables, level, low, widest, rows):
-    """Write where a point's box begins in the addresses of the smallest table that covers it; False if none does."""
-    n = low.shape[0]
-    needed = widest + (np.int64(1) << level) - 1
+def _wave_range(X, Y, c0, s0, c1, s1, half_turn):
+    """Return the least and the largest X cos(yaw) + Y sin(yaw) over an interval given by the cosines and sines of its ends."""
+    u0 = X * c0 + Y * s0
+    u1 = X * c1 + Y * s1
+    least = min(u0, u1)
+    most = max(u0, u1)
+    # The slope at both ends tells whether the interval holds the top or the bottom of the wave.
+    d0 = Y * c0 - X * s0
+    d1 = Y * c1 - X * s1
+    if half_turn:
+        most = np.sqrt(X * X + Y * Y)
+        least = -most
+    elif d0 >= 0.0 and d1 <= 0.0:
+        most = np.sqrt(X * X + Y * Y)
+    elif d0 <= 0.0 and d1 >= 0.0:
+        least = -np.sqrt(X * X + Y * Y)
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def _variant(windows, needed):
+    """Return the smallest of a level's boxes that holds ``needed`` indices, the largest where none does."""
     variant = 0
-    while variant < tables.windows.shape[1] - 1 and tables.windows[level, variant] < needed:
+    while variant < windows.shape[0] - 1 and windows[variant] < needed:
         variant += 1
-    table = level * tables.windows.shape[1] + variant
-    for a in range(n):
-        rows[a] = (table * n + a) * tables.length + low[a] - tables.low[a]
-    return tables.windows[level, variant] >= needed
+    return variant
+
+
+@njit(cache=True, nogil=True)
+def _box_arcs_plane(waves, reach0, reach1, c0, s0, c1, s1, half_turn, windows, level, length, low, rows):
+    """Write where the box of cells that each point's arc can touch begins; tell whether the tables cover all boxes.
+
+    A point of the cell around c has |u - c| at most ``reach`` along an axis.
+    """
+    covered = True
+    tables = windows.shape[0]
+    size = (np.int64(1) << level) - 1
+    for p in range(waves.shape[0]):
+        least, most = _wave_range(waves[p, 0, 0], waves[p, 0, 1], c0, s0, c1, s1, half_turn)
+        first0 = np.int64(np.ceil(least - reach0))
+        widest = np.int64(np.floor(most + reach0)) - first0 + 1
+        least, most = _wave_range(waves[p, 1, 0], waves[p, 1, 1], c0, s0, c1, s1, half_turn)
+        first1 = np.int64(np.ceil(least - reach1))
+        widest = max(widest, np.int64(np.floor(most + reach1)) - first1 + 1)
+        variant = _variant(windows, widest + size)
+        covered &= windows[variant] >= widest + size
+        table = level * tables + variant
+        rows[p, 0] = 2 * table * length + first0 - low[0]
+        rows[p, 1] = (2 * table + 1) * length + first1 - low[1]
+    return covered
+
+
+@njit(cache=True, nogil=True)
+def _box_arcs_space(scan, lattice, rotations, tables, level, tilt, c0, s0, c1, s1, half_turn, rows):
+    """The same in space, where a tilt by at most w moves a point by at most 2 |p| sin(w / 2)."""
+    chord = 2.0 * np.sin(0.5 * min(rotations.radius[tilt], np.pi))
+    T = rotations.tilts[tilt]
+    points, inverse, half = scan.points, lattice.inverse, lattice.half
+    windows, length, low = tables.windows[level], tables.length, tables.low
+    first = np.empty(3, np.int64)
+    size = (np.int64(1) << level) - 1
+    covered = True
+    for p in range(points.shape[0]):
+        x = T[0, 0] * points[p, 0] + T[0, 1] * points[p, 1] + T[0, 2] * points[p, 2]
+        y = T[1, 0] * points[p, 0] + T[1, 1] * points[p, 1] + T[1, 2] * points[p, 2]
+        z = T[2, 0] * points[p, 0] + T[2, 1] * points[p, 1] + T[2, 2] * points[p, 2]
+        sway = chord * np.sqrt(x * x + y * y + z * z)
+        widest = np.int64(1)
+        for a in range(3):
+            X = inverse[a, 0] * x + inverse[a, 1] * y
+            Y = inverse[a, 1] * x - inverse[a, 0] * y
+            least, most = _wave_range(X, Y, c0, s0, c1, s1, half_turn)
+            rise = inverse[a, 2] * z
+            reach = half[a] + 1e-9 + sway * half[3 + a]
+            first[a] = np.int64(np.ceil(least + rise - reach))
+            widest = max(widest, np.int64(np.floor(most + rise + reach)) - first[a] + 1)
+        variant = _variant(windows, widest + size)
+        covered &= windows[variant] >= widest + size
+        table = level * windows.shape[0] + variant
+        for a in range(3):
+            rows[p, a] = (3 * table + a) * length + first[a] - low[a]
+    return covered
 
 
 @njit(cache=True, nogil=True)
 def _box_arcs(scan, lattice, rotations, tables, level, q, tilt, rows):
-    """Write where the box of cells that each point's arc can touch begins; tell whether the tables cover all boxes.
-
-    Along axis a the coordinate is u = X cos(yaw) + Y sin(yaw) + C; a point of the cell around c has |u - c| at most
-    ``half[a]``, and a tilt by at most w moves it by at most |b_a| 2 |p| sin(w / 2).
-    """
-    n = scan.points.shape[1]
+    """Write where the box of cells that each point's arc can touch begins; tell whether the tables cover all boxes."""
     low_yaw, high_yaw = _yaw_range(rotations, level, q)
     c0, s0 = np.cos(low_yaw), np.sin(low_yaw)
     c1, s1 = np.cos(high_yaw), np.sin(high_yaw)
-    round_trip = high_yaw - low_yaw >= np.pi
-    chord = 2.0 * np.sin(0.5 * min(rotations.radius[tilt], np.pi))
-    T = rotations.tilts[tilt]
-    low = np.empty(n, np.int64)
-    covered = True
-    for p in range(scan.points.shape[0]):
-        x = T[0, 0] * scan.points[p, 0] + T[0, 1] * scan.points[p, 1]
-        y = T[1, 0] * scan.points[p, 0] + T[1, 1] * scan.points[p, 1]
-        z = 0.0
-        if n == 3:
-            x += T[0, 2] * scan.points[p, 2]
-            y += T[1, 2] * scan.points[p, 2]
-            z = T[2, 0] * scan.points[p, 0] + T[2, 1] * scan.points[p, 1] + T[2, 2] * scan.points[p, 2]
-        widest = np.int64(1)
-        sway = 0.0
-        if chord > 0.0:
-            sway = chord * np.sqrt(x * x + y * y + z * z)
-        for a in range(n):
-            X = lattice.inverse[a, 0] * x + lattice.inverse[a, 1] * y
-            Y = lattice.inverse[a, 1] * x - lattice.inverse[a, 0] * y
-            u0 = X * c0 + Y * s0
-            u1 = X * c1 + Y * s1
-            least = min(u0, u1)
-            most = max(u0, u1)
-            # The slope at both ends tells whether the interval holds the top or the bottom of the wave.
-            d0 = Y * c0 - X * s0
-            d1 = Y * c1 - X * s1
-            if round_trip:
-                most = np.sqrt(X * X + Y * Y)
-                least = -most
-            elif d0 >= 0.0 and d1 <= 0.0:
-                most = np.sqrt(X * X + Y * Y)
-            elif d0 <= 0.0 and d1 >= 0.0:
-                least = -np.sqrt(X * X + Y * Y)
-            reach = lattice.half[a] + 1e-9
-            if n == 3:
-                rise = lattice.inverse[a, 2] * z
-                least += rise
-                most += rise
-                reach += sway * lattice.half[n + a]
-            first = np.int64(np.ceil(least - reach))
-            last = np.int64(np.floor(most + reach))
-            low[a] = first
-            widest = max(widest, last - first + 1)
-        covered &= _point_rows(tables, level, low, widest, rows[p])
-    return covered
+    half_turn = high_yaw - low_yaw >= np.pi
+    if scan.points.shape[1] == 2:
+        return _box_arcs_plane(
+            scan.waves, lattice.half[0] + 1e-9, lattice.half[1] + 1e-9, c0, s0, c1, s1, half_turn,
+            tables.windows[level], level, tables.length, tables.low, rows,
+        )  # fmt: skip
+    return _box_arcs_space(scan, lattice, rotations, tables, level, tilt, c0, s0, c1, s1, half_turn, rows)
 
 
 @njit(cache=True, nogil=True)
@@ -324,14 +353,13 @@ def _exact_arcs(scan, lattice, rotations, q, tilt, cells, begin, entered, angle,
 
 
 @njit(cache=True, nogil=True)
-def _bounds(scan, tables, rows, shift, floor, out):
+def _bounds(packed, address, unit, weights, rest, stops, rows, shift, floor, out):
     """Write the bounds of the 2^n sibling blocks from ``shift`` on into ``out``; return the largest.
 
     One look-up a point bounds all siblings: a byte each, added up in lanes of 16 bits. Once not even the best of them can
-    pass ``floor``, what is returned is less than the truth allows but does not pass it either.
+    pass ``floor``, what is returned is less than the truth allows but does not pass it either. Arrays come one by one here:
+    to take one out of a tuple costs as much as thirty look-ups.
     """
-    packed = tables.packed
-    address = tables.address
     mask = np.uint64(0x00FF00FF00FF00FF)
     lane = np.uint64(0xFFFF)
     siblings = out.shape[0]
@@ -340,12 +368,12 @@ def _bounds(scan, tables, rows, shift, floor, out):
     best = np.int64(0)
     if siblings == 4:
         s0, s1 = shift[0], shift[1]
-        for k in range(scan.stops.shape[0]):
+        for k in range(stops.shape[0]):
             even = np.uint64(0)
             odd = np.uint64(0)
-            while p < scan.stops[k]:
+            while p < stops[k]:
                 v = np.uint64(packed[np.uint32(address[np.uint32(rows[p, 0] + s0)] + address[np.uint32(rows[p, 1] + s1)])])
-                w = scan.weights[p]
+                w = weights[p]
                 even += (v & mask) * w
                 odd += ((v >> np.uint64(8)) & mask) * w
                 p += 1
@@ -353,18 +381,19 @@ def _bounds(scan, tables, rows, shift, floor, out):
             out[1] += np.int64(odd & lane)
             out[2] += np.int64(even >> np.uint64(16))
             out[3] += np.int64(odd >> np.uint64(16))
-            best = max(max(out[0], out[1]), max(out[2], out[3])) * tables.unit + scan.rest[p]
+            best = max(max(out[0], out[1]), max(out[2], out[3])) * unit + rest[p]
             if best <= floor:
                 return best
     else:
         s0, s1, s2 = shift[0], shift[1], shift[2]
-        for k in range(scan.stops.shape[0]):
+        for k in range(stops.shape[0]):
             even = np.uint64(0)
             odd = np.uint64(0)
-            while p < scan.stops[k]:
-                at = address[rows[p, 0] + s0] + address[rows[p, 1] + s1] + address[rows[p, 2] + s2]
-                v = np.uint64(packed[at])
-                w = scan.weights[p]
+            while p < stops[k]:
+                at = address[np.uint32(rows[p, 0] + s0)] + address[np.uint32(rows[p, 1] + s1)]
+                at += address[np.uint32(rows[p, 2] + s2)]
+                v = np.uint64(packed[np.uint32(at)])
+                w = weights[p]
                 even += (v & mask) * w
                 odd += ((v >> np.uint64(8)) & mask) * w
                 p += 1
@@ -373,11 +402,11 @@ def _bounds(scan, tables, rows, shift, floor, out):
                 out[c] += np.int64((even >> np.uint64(8 * c)) & lane)
                 out[c + 1] += np.int64((odd >> np.uint64(8 * c)) & lane)
                 best = max(best, out[c], out[c + 1])
-            best = best * tables.unit + scan.rest[p]
+            best = best * unit + rest[p]
             if best <= floor:
                 return best
     for c in range(siblings):
-        out[c] *= tables.unit
+        out[c] *= unit
     return best
 
 
@@ -456,6 +485,7 @@ def _exact_boxes(scan, tables, cells, begin, entered, rows):
     """Write where the box of the cells that each point really touches begins; tell whether the tables cover all."""
     n = cells.shape[1]
     low = np.empty(n, np.int64)
+    windows, length, table_low = tables.windows[0], tables.length, tables.low
     covered = True
     for p in range(cells.shape[0]):
         widest = np.int64(1)
@@ -467,15 +497,30 @@ def _exact_boxes(scan, tables, cells, begin, entered, rows):
                 last = max(last, np.int64(entered[e, a]))
             low[a] = first
             widest = max(widest, last - first + 1)
-        covered &= _point_rows(tables, 0, low, widest, rows[p])
+        variant = _variant(windows, widest)
+        covered &= windows[variant] >= widest
+        for a in range(n):
+            rows[p, a] = (n * variant + a) * length + low[a] - table_low[a]
     return covered
+
+
+@njit(cache=True, nogil=True)
+def _tag(level, q, tilt):
+    """Return the number of a cell of rotations."""
+    return (np.int64(tilt) << 32) | (np.int64(level) << 26) | np.int64(q)
+
+
+@njit(cache=True, nogil=True)
+def _slot_number(level, q, tilt, slots):
+    """Return the slot in which a cell of rotations lies where it lies in any."""
+    return (q * 7 + level * 1031 + tilt * 8191) % slots
 
 
 @njit(cache=True, nogil=True)
 def _slot(scan, lattice, rotations, tables, arcs, level, q, tilt):
     """Return the slot of a cell of rotations, filled; -1 where the crossings of one of level 0 have no room."""
-    tag = (np.int64(tilt) << 32) | (np.int64(level) << 26) | np.int64(q)
-    slot = (q * 7 + level * 1031 + tilt * 8191) % arcs.tag.shape[0]
+    tag = _tag(level, q, tilt)
+    slot = _slot_number(level, q, tilt, arcs.tag.shape[0])
     if arcs.tag[slot] != tag:
         arcs.tag[slot] = -1
         if level > 0:
@@ -574,22 +619,26 @@ def roots(scan, lattice, rotations, tables, arcs, region, floor, out_bound, out_
     shift = np.empty(n, np.int64)
     child = np.empty(n, np.int64)
     bounds = np.empty(1 << n, np.int64)
+    packed, address, unit = tables.packed, tables.address, tables.unit
+    weights, rest_of, stops = scan.weights, scan.rest, scan.stops
     used = 0
     for tilt in range(rotations.tilt_start[top], rotations.tilt_start[top + 1]):
         for q in range(groups):
             slot = _slot(scan, lattice, rotations, tables, arcs, top, q, tilt)
             if slot < 0:
                 return -1
+            rows = arcs.rows[slot]
+            covered = arcs.covered[slot]
             for block in range(per):
                 rest = block
                 for a in range(n - 1, -1, -1):
                     shift[a] = region.low[a] + (rest % region.blocks[a]) * 2 * size
                     rest //= region.blocks[a]
-                if arcs.covered[slot]:
-                    if _bounds(scan, tables, arcs.rows[slot], shift, floor, bounds) <= floor:
+                if covered:
+                    if _bounds(packed, address, unit, weights, rest_of, stops, rows, shift, floor, bounds) <= floor:
                         continue
                 else:
-                    bounds[:] = scan.rest[0]
+                    bounds[:] = rest_of[0]
                 for c in range(1 << n):
                     if bounds[c] <= floor:
                         continue
@@ -664,16 +713,22 @@ def _expand(scan, lattice, rotations, tables, arcs, region, stack, base, level, 
     first_yaw = q * rotations.group[level] // rotations.group[below]
     last_yaw = -(-min((q + 1) * rotations.group[level], rotations.count) // rotations.group[below])
     child = np.empty(n, np.int64)
+    packed, address, unit = tables.packed, tables.address, tables.unit
+    weights, rest, stops = scan.weights, scan.rest, scan.stops
+    tag, covered, rows = arcs.tag, arcs.covered, arcs.rows
     used = base
     for k in range(rotations.child_start[tilt], rotations.child_start[tilt + 1]):
         tilt_below = rotations.children[k]
         for yaw_below in range(first_yaw, last_yaw):
-            slot = _slot(scan, lattice, rotations, tables, arcs, below, yaw_below, tilt_below)
-            if slot < 0:
-                return -1
+            slot = _slot_number(below, yaw_below, tilt_below, tag.shape[0])
+            if tag[slot] != _tag(below, yaw_below, tilt_below):
+                slot = _slot(scan, lattice, rotations, tables, arcs, below, yaw_below, tilt_below)
+                if slot < 0:
+                    return -1
             state[NODES] += 1 << n
-            if arcs.covered[slot]:
-                if _bounds(scan, tables, arcs.rows[slot], shift, state[BEST], bounds) <= state[BEST]:
+            if covered[slot]:
+                best = state[BEST]
+                if _bounds(packed, address, unit, weights, rest, stops, rows[slot], shift, best, bounds) <= best:
                     continue
             else:
                 bounds[:] = parent

@@ -28,6 +28,8 @@ from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
+from localisation.matching.beams import contradicted_share
+from localisation.matching.information import score_covariance
 from localisation.matching.match import Match, RunnerUp
 from localisation.matching.pyramid import OccupancyPyramid, cell_reach, most_motion
 from localisation.matching.refinement import refine_on
@@ -160,8 +162,10 @@ class GlobalMatcher:
         *,
         angles: str | float = "continuous",
         apart: tuple[float, float] = (0.5, math.radians(10.0)),
-        runner_up: float | None = 0.8,
+        runner_up: float | None = 0.9,
         refine: bool = True,
+        beams: bool = True,
+        information: bool = True,
         time_limit: float | None = None,
     ) -> Match | None:
         """Return the best pose of a region, or None where nothing coincides.
@@ -173,6 +177,8 @@ class GlobalMatcher:
             apart: metres and radians within which a pose is the same as the best.
             runner_up: down to which part of the best score other poses are looked for; None: not at all.
             refine: whether the pose is refined below a cell.
+            beams: whether the beams that end beyond a wall are counted.
+            information: whether the surface of scores around the best pose is turned into an information matrix.
             time_limit: seconds after which the search stops; what it found until then is not certified.
 
         Raises:
@@ -212,6 +218,7 @@ class GlobalMatcher:
             pose, refined = result.pose, result.converged
         index = lattice.quantise(best.pose.apply(kept))
         met = self.pyramid.weights(index) > 0
+        known = np.linalg.inv(score_covariance(self.pyramid, kept, weights, best.pose)) if information else None
         return Match(
             pose=pose,
             searched=best.pose,
@@ -226,6 +233,8 @@ class GlobalMatcher:
             runner_up_bound=max(second.bound, floor) if second else None,
             apart=apart if second else None,
             overlap=float(weights[met].sum() / weights.sum()),
+            contradicted=contradicted_share(self.pyramid, p, pose) if beams else None,
+            information=known,
         )
 
 
@@ -252,7 +261,9 @@ class _Search:
         self.weights = share[order]
         most = matcher.pyramid.most
         rest = np.append(np.cumsum(self.weights[::-1])[::-1], 0) * most
-        self.scan = kernels.ScanArrays(self.points, self.weights.astype(np.uint64), rest, _stops(self.weights))
+        inverse = self.matcher._lattice.inverse
+        waves = np.stack([self.points[:, :2] @ inverse[:, :2].T, self.points[:, :2] @ np.stack([inverse[:, 1], -inverse[:, 0]])], axis=-1)
+        self.scan = kernels.ScanArrays(self.points, np.ascontiguousarray(waves), self.weights.astype(np.uint64), rest, _stops(self.weights))
         box = region.box(lattice)
         low, high = matcher._low, matcher._high
         if box is not None:
