@@ -11,6 +11,7 @@ def shown(token: bytes | str, length: int = 24) -> str:
     r"""Return a token of a file as it can stand in a message: short and printable, without quotes.
 
     Examples:
+        >>> from hexmap.base.text import shown
         >>> shown(b"range_max"), shown("1.0\x00"), shown("a" * 30, 5)
         ('range_max', '1.0\\x00', 'aaaaa...')
     """
@@ -23,6 +24,7 @@ def quoted(value: object, length: int = 40) -> str:
     r"""Return a value as Python writes it, in ASCII and short: texts and bytes with quotes, numbers without.
 
     Examples:
+        >>> from hexmap.base.text import quoted
         >>> quoted(b"type tile\r"), quoted(1.5), quoted("a" * 60, 12)
         ("'type tile\\r'", '1.5', "'aaaaaaa...'")
     """

@@ -47,6 +47,8 @@ class IndexBox:
         shape: (n,) int64 how many cells there are along each index; a box with a 0 holds no cell.
 
     Examples:
+        >>> import numpy as np
+        >>> from hexmap.lattice.window import IndexBox
         >>> box = IndexBox.of_cells(np.array([[1, 2], [3, 5]]))
         >>> box.low.tolist(), box.shape.tolist(), box.strides.tolist()
         ([1, 2], [3, 4], [4, 1])

@@ -192,7 +192,8 @@ def compute_shortest_path(graph, metric, tree, queue, count, start, most):
     Returns:
         (key, cost, node, count, expansions, pushes), the first three the queue's.
     """
-    # Taken apart once: each use of a tuple of arrays counts references.
+    # Taken apart once: each use of a tuple of arrays counts references. Helpers are given few arrays: the
+    # more a call takes, the slower it is, up to twice the time of a repair.
     free, offsets, lengths, swept_starts, swept, terrain = graph
     scaled, planes, steps, strides = metric
     g, parent_move = tree
@@ -205,6 +206,7 @@ def compute_shortest_path(graph, metric, tree, queue, count, start, most):
     while count > 0 and expansions < most:
         if parent_move[flat] != 0 and key[0] >= g[flat] + km:
             break
+        # An entry counts if its cell is open at that cost still.
         a = node[0]
         d = cost[0]
         old_key = key[0]
@@ -246,6 +248,7 @@ def compute_shortest_path(graph, metric, tree, queue, count, start, most):
 def enclosed(graph, start, goal, most):
     """Tell whether moves lead from ``start`` to at most ``most`` cells, and the ``goal`` is not among them."""
     free, offsets, _, swept_starts, swept, _ = graph
+    # Breadth first; all moves are taken forwards, as each has its opposite.
     seen = np.zeros(free.shape[0], np.uint8)
     queue = np.empty(most + 1, np.int64)
     queue[0] = start
@@ -335,6 +338,7 @@ def _doubt_changed(graph, tree, known, touched, priced):
     moves = offsets.shape[0]
     doubted = np.empty(max(256, 2 * moves + swept.shape[0]), np.int64)
     doubts = 0
+    # Cells that were free and are blocked now.
     for i in range(touched.shape[0]):
         c = touched[i]
         if free[c] != 0 or known[c] == 0:
@@ -350,6 +354,7 @@ def _doubt_changed(graph, tree, known, touched, priced):
                 if (parent_move[b] & MOVE) == k + 1:
                     doubted[doubts] = b
                     doubts += 1
+    # Cells that may cost more now, as may the moves from and to them.
     for i in range(priced.shape[0]):
         c = priced[i]
         if parent_move[c] != 0:
@@ -371,6 +376,7 @@ def _cut_branches(graph, scaled, tree, doubted, doubts, limit):
     parent_move = tree.parent_move
     lost = np.empty(256, np.int64)
     cut = 0
+    # ``g`` falls towards the root, so that no cell can hold another that depends on it: this ends.
     while doubts > 0:
         doubts -= 1
         a = doubted[doubts]
@@ -424,6 +430,7 @@ def _open_freed(graph, metric, tree, queue, count, start, known, touched, base):
         if free[c] == 0 or known[c] != 0:
             continue
         queue, count = _open_improved(c, graph, metric, tree, queue, count, start, base)
+        # The moves that sweep the cell were not allowed before.
         queue = _with_room(queue, count, swept.shape[0])
         for k in range(offsets.shape[0]):
             for j in range(swept_starts[k], swept_starts[k + 1]):

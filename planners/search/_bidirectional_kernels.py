@@ -94,9 +94,11 @@ def _expand_forward(a, d, heap, count, graph, estimates, side, other, meeting, b
             continue
         g[b] = reached
         parent_move[b] = k + 1
+        # The two sides meet here; the best of all such cells is kept.
         if back_move[b] != 0 and reached + g_back[b] < best:
             best = reached + g_back[b]
             meeting = b
+        # The key is g and this side's potential.
         f = reached + 0.5 * (ahead - gauge(at_start, steps, k))
         rise(key, cost, node, count, np.floor(f * scale + 0.5), reached, b)
         count += 1

@@ -1,8 +1,6 @@
-"""Numba kernels of Dijkstra's fields: a wavefront on equal edges, buckets on others, and the ways back.
+"""Numba kernels of Dijkstra's fields: a wavefront on equal edges, buckets on others, and the paths back.
 
-As in :mod:`planners.search._astar_kernels`, all over padded flat arrays: a move k leads from the flat cell a
-to ``a + offsets[k]``, needs that cell free and also those it sweeps, and costs ``lengths[k]`` times the
-mean terrain of its two ends.
+Over the arrays of :class:`planners.search._shared_kernels.GraphArrays`.
 """
 
 # mypy: ignore-errors
@@ -20,7 +18,7 @@ def wavefront(state, offsets, queue, steps, count, goals, most):
     """Write the least number of moves from the first ``count`` cells of ``queue`` into ``steps`` (size,).
 
     Equal edges need no priority: cells are settled in the order in which they are found. ``state``
-    (size,) is 1 where a cell is free and not found; it is used up. ``queue`` has one place more
+    (size,) is 1 where a cell is free and not found; it is used up. ``queue`` is one longer
     than there are free cells. Stops when all ``goals`` are found, or after ``most`` steps.
 
     Returns how many cells have their steps.
@@ -58,9 +56,7 @@ def wavefront(state, offsets, queue, steps, count, goals, most):
 
 
 @njit(cache=True, nogil=True)
-def buckets(
-    free, offsets, lengths, swept_starts, swept, terrain, sources, goals, limit, inverse_width, slots, distance
-):
+def buckets(graph, sources, goals, limit, inverse_width, slots, distance):
     """Write the least cost from ``sources`` into ``distance`` (size,), given as infinite everywhere.
 
     Where a bucket is no wider than the cheapest move, no move ends in the bucket it began in:
@@ -72,7 +68,10 @@ def buckets(
 
     Returns (expansions, pushes).
     """
+    # Taken apart once: each use of a tuple of arrays counts references.
+    free, offsets, lengths, swept_starts, swept, terrain = graph
     moves = offsets.shape[0]
+    # A ring of buckets, as many as a move can reach; each is a list of entries, in no order.
     heads = np.full(slots, -1, np.int64)
     node = np.empty(1024, np.int64)
     link = np.empty(1024, np.int64)
@@ -95,6 +94,7 @@ def buckets(
             pushes += 1
     turn = np.int64(0)
     while waiting > 0:
+        # The bucket is emptied until no move of its own adds to it any more.
         while heads[turn % slots] >= 0:
             entry = heads[turn % slots]
             heads[turn % slots] = -1
@@ -120,9 +120,10 @@ def buckets(
                     if not may_move(free, a, k, offsets, swept_starts, swept):
                         continue
                     distance[b] = reached
-                    place = np.int64(reached * inverse_width)
-                    if place != turn and old < np.inf and np.int64(old * inverse_width) == place:
+                    due = np.int64(reached * inverse_width)
+                    if due != turn and old < np.inf and np.int64(old * inverse_width) == due:
                         continue  # it stands in that bucket already
+                    # At a position that was given back, or at a new one.
                     if spare >= 0:
                         new = spare
                         spare = link[spare]
@@ -133,10 +134,11 @@ def buckets(
                         new = np.int64(used)
                         used += 1
                     node[new] = b
-                    link[new] = heads[place % slots]
-                    heads[place % slots] = new
+                    link[new] = heads[due % slots]
+                    heads[due % slots] = new
                     waiting += 1
                     pushes += 1
+        # A goal is final once its bucket has had its turn.
         if goals.shape[0] > 0:
             missing = False
             for i in range(goals.shape[0]):
@@ -145,6 +147,7 @@ def buckets(
             if not missing:
                 break
         turn += 1
+    # Cells that still wait have a cost, but not a final one.
     if waiting > 0:
         for s in range(slots):
             entry = heads[s]
@@ -157,8 +160,9 @@ def buckets(
 
 
 @njit(cache=True, nogil=True)
-def _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain):
+def _parent(values, at, graph):
     """Return the lowest move by which the cell ``at`` got its value, or the number of moves at a source."""
+    free, offsets, lengths, swept_starts, swept, terrain = graph
     moves = offsets.shape[0]
     value = values[at]
     if not (value > 0 and value < np.inf):
@@ -176,20 +180,21 @@ def _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain):
 
 
 @njit(cache=True, nogil=True)
-def parents(values, out, offsets, lengths, swept_starts, swept, free, terrain):
+def parents(values, out, graph):
     """Write for each cell the move that leads to it from its parent; the number of moves where there is none."""
     for at in range(values.shape[0]):
-        out[at] = _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain)
+        out[at] = _parent(values, at, graph)
 
 
 @njit(cache=True, nogil=True)
-def walk_back(values, at, offsets, lengths, swept_starts, swept, free, terrain):
+def walk_back(values, at, graph):
     """Return the flat cells from ``at`` back to a source."""
+    offsets = graph.offsets
     out = np.empty(64, np.int64)
     out[0] = at
     count = 1
     while True:
-        k = _parent(values, at, offsets, lengths, swept_starts, swept, free, terrain)
+        k = _parent(values, at, graph)
         if k == offsets.shape[0]:
             return out[:count].copy()
         at -= offsets[k]

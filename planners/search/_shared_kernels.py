@@ -99,7 +99,7 @@ def rise(key, cost, node, count, k, g, c):
 def drop_top(key, cost, node, count):
     """Remove the first of ``count`` entries; returns how many are left."""
     one = np.uint64(1)
-    # The last entry sinks from the top. Its old place keeps a copy: where that is chosen as the lesser of
+    # The last entry sinks from the top. Its old position keeps a copy: where that is chosen as the lesser of
     # two the entry is no worse than itself and stays, so that a lone last entry needs no test of its own.
     last = np.uint64(count - 1)
     k = key[last]

@@ -13,7 +13,7 @@ move e is among those tried: it is natural after d, or forced as all alternative
 argument needs every direction of arrival at the least cost, so that they are kept as a set of bits
 for each cell; a cell that was expanded before one of them was known is expanded again for that one,
 unless nothing new can follow. It needs exact sums too: lengths are rounded to integers of which any
-sum on the way is exact. Nothing in it depends on the order of the moves, which only decides how
+sum along a path is exact. Nothing in it depends on the order of the moves, which only decides how
 much is left out, nor on the lattice.
 
 **Jumping.** Natural pairs of different moves ascend in rank, as (e, d) leads wherever (d, e) does.
@@ -26,9 +26,9 @@ up to twice the time among random obstacles and ten times in open space of three
 In the plane, orderings of three levels (A2-12, Z2-16) still enter a large part of all cells, and
 looking along a line from each took 1.5 to 7 times as long as the ordering alone: they have no lines.
 
-**Which way round.** Levels of opposite moves differ (on A2-6, opposite directions are even and odd), and
+**Which end first.** Levels of opposite moves differ (on A2-6, opposite directions are even and odd), and
 a path is found with the fewest entries where it runs mostly along moves of low level. Moves can be
-taken back, so that the search starts from the goal where that is so for the opposite way.
+taken back, so that the search starts from the goal where that is so for the opposite direction.
 
 Sources: Harabor and Grastien, "Online graph pruning for pathfinding on grid maps" (2011), for jump
 points on squares; Sturtevant and Rabin, "Canonical orderings on grids" (2016). For hexagons, FCC and

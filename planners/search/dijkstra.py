@@ -17,6 +17,7 @@ from planners.search.heuristics import least_terrain
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
+    from planners.search._shared_kernels import GraphArrays
 
 __all__ = ["DistanceField", "dijkstra"]
 
@@ -29,7 +30,7 @@ _MOST_BUCKETS = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class DistanceField:
-    """The least cost from the sources to every cell, and the ways there.
+    """The least cost from the sources to every cell, and the paths there.
 
     Attributes:
         graph: in which it holds.
@@ -62,13 +63,13 @@ class DistanceField:
         out[self.steps < 0] = np.inf
         return out
 
-    def _arguments(self) -> tuple[Any, ...]:
-        """Return the arrays by which the kernels find how a cell was reached."""
-        graph = self.graph
-        terrain = np.empty(0) if graph.terrain is None else graph.terrain
-        if self.steps is not None:  # count moves, in whole numbers
-            return graph.offsets, np.ones(len(graph.moves)), graph.swept_starts, graph.swept, graph.free, terrain
-        return graph.offsets, graph.lengths, graph.swept_starts, graph.swept, graph.free, terrain
+    def _arrays(self) -> GraphArrays:
+        """Return the graph's arrays by which the kernels find how a cell was reached."""
+        from planners.search import _shared_kernels as kernels
+
+        # Steps count moves: each costs one.
+        lengths = None if self.steps is None else np.ones(len(self.graph.moves))
+        return kernels.graph_arrays(self.graph, lengths)
 
     @property
     def _values(self) -> NDArray[Any]:
@@ -83,7 +84,7 @@ class DistanceField:
         from planners.search import _dijkstra_kernels as kernels
 
         out = np.empty(self.graph.size, np.uint8)
-        kernels.parents(self._values, out, *self._arguments())
+        kernels.parents(self._values, out, self._arrays())
         return out
 
     def distance_to(self, cells: ArrayLike) -> NDArray[np.float64]:
@@ -96,9 +97,9 @@ class DistanceField:
         n = self.graph.lattice.dim
         if index.ndim != 2 or index.shape[1] != n or index.dtype.kind not in "iu":
             raise ArgumentError(f"cells must be integer indices (M, {n}), not {index.dtype} {index.shape}")
-        place = index.astype(np.int64) - self.graph.low
-        inside = ((place >= 0) & (place < self.graph.shape)).all(axis=1)
-        flat = np.where(inside, place @ self.graph.strides, 0)
+        position = index.astype(np.int64) - self.graph.low
+        inside = ((position >= 0) & (position < self.graph.shape)).all(axis=1)
+        flat = np.where(inside, position @ self.graph.strides, 0)
         if self.steps is not None:  # without the whole field of distances
             steps = self.steps[flat]
             found = np.where(steps < 0, np.inf, steps * float(self.graph.lengths[0]))
@@ -130,7 +131,7 @@ class DistanceField:
             raise NoPath("not connected", f"nothing leads to {where}")
         from planners.search import _dijkstra_kernels as kernels
 
-        back = kernels.walk_back(self._values, flat[0], *self._arguments())
+        back = kernels.walk_back(self._values, flat[0], self._arrays())
         return make_path(
             self.graph,
             np.ascontiguousarray(back[::-1]),
@@ -166,6 +167,7 @@ def dijkstra(
     start = np.unique(cells_to_flat(graph, sources, "start"))
     wanted = np.empty(0, np.int64) if goals is None else cells_to_flat(graph, goals, "goal")
     from planners.search import _dijkstra_kernels as kernels
+    from planners.search._shared_kernels import graph_arrays
 
     begin = time.perf_counter()
     steps: NDArray[np.int32] | None = None
@@ -173,7 +175,7 @@ def dijkstra(
     if graph.equal_edges and graph.terrain is None and len(graph.swept) == 0:
         steps = np.full(graph.size, -1, np.int32)
         state = graph.free.copy()
-        # One place more than cells: the kernel writes before it knows whether it keeps.
+        # One longer than there are cells: the kernel writes before it knows whether it keeps.
         queue = np.empty(graph.size + 1, np.int32 if graph.size < 2**31 - 1 else np.int64)
         queue[: len(start)] = start
         state[start] = 0
@@ -183,17 +185,11 @@ def dijkstra(
         )
     else:
         distance = np.full(graph.size, np.inf)
-        terrain = np.empty(0) if graph.terrain is None else graph.terrain
         width = float(graph.lengths.min()) * least_terrain(graph) * _WIDTH
-        dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(terrain.max()))
+        dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(graph.terrain.max()))
         width = max(width, dearest / _MOST_BUCKETS)
         settled, pushes = kernels.buckets(
-            graph.free,
-            graph.offsets,
-            graph.lengths,
-            graph.swept_starts,
-            graph.swept,
-            terrain,
+            graph_arrays(graph),
             start,
             wanted,
             most,

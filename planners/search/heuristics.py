@@ -1,7 +1,7 @@
 """What a path costs at least where nothing stands in the way, derived from the moves alone.
 
 The cost that a long free path tends to is the gauge of the convex hull of {move / its cost}: the
-least k such that the way lies in k times the hull. It never exceeds the true cost and never drops
+least k such that the offset to the goal lies in k times the hull. It never exceeds the true cost and never drops
 by more than a move costs (admissible and consistent), whatever the lattice and the neighbourhood.
 """
 
@@ -25,7 +25,7 @@ _LEAST: weakref.WeakKeyDictionary[Any, float] = weakref.WeakKeyDictionary()
 
 
 def gauge_planes(moves: ArrayLike, lengths: ArrayLike) -> FloatArray:
-    """Return planes (F, n) with ``max |planes @ v|`` = the gauge of the way ``v`` (n,), in index units.
+    """Return planes (F, n) with ``max |planes @ v|`` = the gauge of the offset ``v`` (n,), in index units.
 
     One plane of each opposite pair is given. (0, n), which estimates zero, where no gauge is to
     be had: the moves lie in a plane or line, or not every move has its opposite.
@@ -46,8 +46,8 @@ def _planes(moves: bytes, lengths: bytes, n: int) -> FloatArray:
     v = np.frombuffer(moves, np.int64).reshape(-1, n)
     costs = np.frombuffer(lengths)
     none: FloatArray = np.empty((0, n))
-    ways = {(*way, cost) for way, cost in zip(v.tolist(), np.round(costs / costs.max(), 12).tolist(), strict=True)}
-    if any((*(-x for x in way[:-1]), way[-1]) not in ways for way in ways):
+    motions = {(*move, cost) for move, cost in zip(v.tolist(), np.round(costs / costs.max(), 12).tolist(), strict=True)}
+    if any((*(-x for x in motion[:-1]), motion[-1]) not in motions for motion in motions):
         return none
     unit = costs.max()  # Qhull's tolerances are absolute
     ends = v / (costs / unit)[:, None]
@@ -82,6 +82,6 @@ def least_terrain(graph: LatticeGraph) -> float:
 
 def estimate(graph: LatticeGraph, start: ArrayLike, goal: ArrayLike) -> float:
     """Return what a path from the cell ``start`` (n,) to the cell ``goal`` (n,) costs at least."""
-    way = np.asarray(goal, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+    offset = np.asarray(goal, dtype=np.float64) - np.asarray(start, dtype=np.float64)
     planes = gauge_planes(graph.moves, graph.lengths)
-    return float(np.abs(planes @ way).max(initial=0.0)) * least_terrain(graph)
+    return float(np.abs(planes @ offset).max(initial=0.0)) * least_terrain(graph)

@@ -29,7 +29,7 @@ def plan_many(
 ) -> list[Path | NoPath]:
     """Return the paths from each of ``starts`` (Q, n) to each of ``goals`` (Q, n), in their order.
 
-    Where there is no path, its place holds the :class:`NoPath` that says why. The queries run in
+    Where there is no path, its entry holds the :class:`NoPath` that says why. The queries run in
     threads, which the kernels do not block; all but ``seconds`` is the same for any number of them.
 
     Args:

@@ -25,7 +25,7 @@ def nearest_reachable(graph: LatticeGraph, start: ArrayLike, point: ArrayLike) -
     Exact; ties, to 1e-9 of the resolution, go to the lowest flat cell. Balls around the point
     are looked through, row by row and within the window only, each larger than the one before
     until one holds such a cell: what lies farther away is not touched. The components are computed
-    if nobody has asked for them before.
+    where they are not known yet.
 
     Args:
         graph: where to go.

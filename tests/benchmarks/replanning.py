@@ -3,7 +3,7 @@
 Times are of the processor (other work on the machine counts little) for all that a user waits for:
 noting the changes and the path, all of Python included. "anew" is
 A* on the graph as it is then, made outside the timer, and the canonical search where there is one;
-costs are compared every time. ``python -m tests.benchmarks.replanning [part]`` takes a part of the repetitions.
+costs are compared every time. ``python -m tests.benchmarks.replanning [fraction]`` takes a fraction of the repetitions.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def _change(graph: LatticeGraph, runs: int, seed: int, races: dict[str, Race]) -
 
 
 def drives(truth: LatticeGraph, known: float, every: int) -> list[object]:
-    """Drive through a map of whose obstacles a part is known; planning anew is timed at every so many steps."""
+    """Drive through a map of whose obstacles a fraction is known; planning anew is timed at every so many steps."""
     race = Race()
     for seed in SEEDS[:2]:
         _drive(truth, known, seed, every, race)
@@ -186,7 +186,7 @@ def _drive(truth: LatticeGraph, known: float, seed: int, every: int, race: Race)
 
 def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
-    part = float(given[0]) if given else 1.0
+    fraction = float(given[0]) if given else 1.0
     print("# Replanning\n")
     print(versions("hexmap", "numpy", "numba"), "\n")
     print("x: how many times as long planning anew takes, of medians and of totals (of the drives, of means)\n")
@@ -198,8 +198,8 @@ def main(arguments: list[str] | None = None) -> None:
         if hilly:
             graph = graph.with_terrain(np.random.default_rng(1).uniform(1.0, 2.0, tuple(graph.inner_shape)))
         rows: list[list[object]] = [list(HEAD)]
-        rows += changes(graph, max(int((20 if hilly else 40) * part), 2))
-        every = max(int((20 if graph.lattice.dim == 3 else 100) / part), 1)
+        rows += changes(graph, max(int((20 if hilly else 40) * fraction), 2))
+        every = max(int((20 if graph.lattice.dim == 3 else 100) / fraction), 1)
         rows += [drives(graph, known, every) for known in (0.5, 0.9)]
         size = " x ".join([str(side)] * graph.lattice.dim)
         print(f"{name}, {len(graph.moves)} moves, {size}, 20% obstacles{', terrain of 1 to 2' * hilly}\n")

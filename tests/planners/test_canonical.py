@@ -40,7 +40,7 @@ def random_states(lattice: Lattice, seed: int, obstacles: float, side: int) -> n
 
 
 def maze(shape: tuple[int, ...], seed: int) -> np.ndarray:
-    """One-cell corridors along the indices, carved depth first: one way between any two cells, on Z2 and Z3."""
+    """One-cell corridors along the indices, carved depth first: one path between any two cells, on Z2 and Z3."""
     rng = np.random.default_rng(seed)
     states = np.zeros(shape, np.uint8)
     at = np.zeros(len(shape), np.int64)
@@ -48,16 +48,16 @@ def maze(shape: tuple[int, ...], seed: int) -> np.ndarray:
     trail = [at]
     while trail:
         at = trail[-1]
-        ways = []
+        exits = []
         for axis, sign in itertools.product(range(len(shape)), (-2, 2)):
             to = at.copy()
             to[axis] += sign
             if 0 <= to[axis] < shape[axis] and not states[tuple(to)]:
-                ways.append(to)
-        if not ways:
+                exits.append(to)
+        if not exits:
             trail.pop()
             continue
-        to = ways[rng.integers(len(ways))]
+        to = exits[rng.integers(len(exits))]
         states[tuple((at + to) // 2)] = states[tuple(to)] = 1
         trail.append(to)
     return states
@@ -69,8 +69,8 @@ def rooms(shape: tuple[int, ...], seed: int) -> np.ndarray:
     states = np.ones(shape, np.uint8)
     for axis, size in enumerate(shape):
         for wall in range(5, size, 6):
-            part = np.moveaxis(states, axis, 0)[wall]
-            part[...] = rng.random(part.shape) < 0.12
+            layer = np.moveaxis(states, axis, 0)[wall]
+            layer[...] = rng.random(layer.shape) < 0.12
     return states
 
 
