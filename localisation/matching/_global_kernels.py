@@ -1,9 +1,10 @@
 """Numba kernels of the global matcher: branch and bound over intervals of angles and boxes of shifts.
 
-A node of level k is a cell of rotations (an interval of yaw; in space also a patch of tilts) and a box of 2^k shifts along
-every basis axis. For a cell of rotations the arc of each point lies in a small box of lattice cells; the largest weight
-in that box, swept over the node's shifts, stands in one entry of the occupancy pyramid. The sum over the points is
-never less than the score of any pose in the node (``lattices.md``, "Exact matching over all real angles").
+A node of level k is a cell of rotations (an interval of yaw; in space also a patch of tilts) and a box of 2^k shifts
+along every basis axis. For a cell of rotations the arc of each point lies in a small box of lattice cells; the
+largest weight in that box, swept over the node's shifts, stands in one entry of the occupancy pyramid. The sum over
+the points is never less than the score of any pose in the node (``lattices.md``, "Exact matching over all real
+angles").
 
 Level 0 is exact. For one shift the score is piecewise constant in the yaw and changes only where a point crosses a face
 of its cell, at angles with a closed form; a sweep over these finds the maximum over the whole interval.
@@ -31,8 +32,8 @@ STRIDE = 8
 class ScanArrays(NamedTuple):
     """The scan, its most telling points first.
 
-    ``points`` (P, n) in metres, ``waves`` (P, n, 2) the X and Y of each coordinate X cos(yaw) + Y sin(yaw) of the upright
-    sensor's points, ``weights`` (P,) at most 257, ``rest`` (P + 1,) what each point and all after it can score,
+    ``points`` (P, n) in metres, ``waves`` (P, n, 2) the X and Y of each coordinate X cos(yaw) + Y sin(yaw) of the
+    upright sensor's points, ``weights`` (P,) at most 257, ``rest`` (P + 1,) what each point and all after it can score,
     ``stops`` (K,) after how many points a sum is looked at: often enough that 255 times their weight fits 16 bits.
     """
 
@@ -74,12 +75,13 @@ class RotationArrays(NamedTuple):
 
 
 class RegionArrays(NamedTuple):
-    """Where to look: shifts from ``low`` on, ``blocks`` of 2^(top + 1) along each axis, centres in a box, outside a ball.
+    """Where to look: shifts from ``low`` on, ``blocks`` of 2^(top + 1) along each axis, centres in a box, outside a
+    ball.
 
-    ``box`` (2, n) are corners in metres. ``allowed`` marks the blocks of each level that hold a shift that may be taken,
-    those of level k from ``allowed_start[k]`` on, row-major in ``allowed_shape[k]`` (n,), counted from ``allowed_low``;
-    where it is empty, all may. Poses within ``apart[0]`` metres of ``away`` (n,) and ``apart[1]`` radians of
-    the rotation ``turned`` (n, n) are left out; ``apart`` of -1 leaves out none.
+    ``box`` (2, n) are corners in metres. ``allowed`` marks the blocks of each level that hold a shift that may be
+    taken, those of level k from ``allowed_start[k]`` on, row-major in ``allowed_shape[k]`` (n,), counted from
+    ``allowed_low``; where it is empty, all may. Poses within ``apart[0]`` metres of ``away`` (n,) and ``apart[1]``
+    radians of the rotation ``turned`` (n, n) are left out; ``apart`` of -1 leaves out none.
     """
 
     low: np.ndarray
@@ -98,11 +100,11 @@ class RegionArrays(NamedTuple):
 class Arcs(NamedTuple):
     """Slots for cells of rotations: what their points' arcs touch, kept until another cell wants the slot.
 
-    ``tag`` (S,) says which cell of rotations a slot holds and ``covered`` (S,) whether the pyramid's tables reach over all
-    its boxes; ``rows`` (S, P, n) is where each point's box begins, as a place in the tables' addresses. Slots of level 0
-    also hold the cells in which the points begin, ``exact`` (S0, P, n), and the crossings: ``begin`` (S0, P + 1) where each
-    point's begin, ``entered`` (S0, E, n) the cells entered, ``angle`` (S0, E) where, ``owner`` (S0, E) whose, ``order`` (S0, E)
-    sorted by angle.
+    ``tag`` (S,) says which cell of rotations a slot holds and ``covered`` (S,) whether the pyramid's tables reach
+    over all its boxes; ``rows`` (S, P, n) is where each point's box begins, as a place in the tables' addresses.
+    Slots of level 0 also hold the cells in which the points begin, ``exact`` (S0, P, n), and the crossings: ``begin``
+    (S0, P + 1) where each point's begin, ``entered`` (S0, E, n) the cells entered, ``angle`` (S0, E) where, ``owner``
+    (S0, E) whose, ``order`` (S0, E) sorted by angle.
     """
 
     tag: np.ndarray
@@ -140,7 +142,9 @@ def _yaw_range(rotations, level, q):
 
 @njit(cache=True, nogil=True)
 def _wave_range(X, Y, c0, s0, c1, s1, half_turn):
-    """Return the least and the largest X cos(yaw) + Y sin(yaw) over an interval given by the cosines and sines of its ends."""
+    """Return the least and the largest X cos(yaw) + Y sin(yaw) over an interval given by the cosines and sines of its
+    ends.
+    """
     u0 = X * c0 + Y * s0
     u1 = X * c1 + Y * s1
     least = min(u0, u1)
@@ -274,8 +278,8 @@ def _nearest_cell(lattice, x, cell):
 def _exact_arcs(scan, lattice, rotations, q, tilt, cells, begin, entered, angle, owner, order):
     """Follow each point through the cells of its arc; return the number of crossings, -1 where there is no room.
 
-    On a face f the point satisfies |v_f| |p| cos(yaw - phase) = v_f . c + |v_f|^2 / 2 with the height taken off; it leaves
-    through the face whose outward crossing comes first.
+    On a face f the point satisfies |v_f| |p| cos(yaw - phase) = v_f . c + |v_f|^2 / 2 with the height taken off; it
+    leaves through the face whose outward crossing comes first.
     """
     n = scan.points.shape[1]
     low_yaw, high_yaw = _yaw_range(rotations, 0, q)
@@ -356,9 +360,9 @@ def _exact_arcs(scan, lattice, rotations, q, tilt, cells, begin, entered, angle,
 def _bounds(packed, address, unit, weights, rest, stops, rows, shift, floor, out):
     """Write the bounds of the 2^n sibling blocks from ``shift`` on into ``out``; return the largest.
 
-    One look-up a point bounds all siblings: a byte each, added up in lanes of 16 bits. Once not even the best of them can
-    pass ``floor``, what is returned is less than the truth allows but does not pass it either. Arrays come one by one here:
-    to take one out of a tuple costs as much as thirty look-ups.
+    One look-up a point bounds all siblings: a byte each, added up in lanes of 16 bits. Once not even the best of them
+    can pass ``floor``, what is returned is less than the truth allows but does not pass it either. Arrays come one by
+    one here: to take one out of a tuple costs as much as thirty look-ups.
     """
     mask = np.uint64(0x00FF00FF00FF00FF)
     lane = np.uint64(0xFFFF)
@@ -372,7 +376,8 @@ def _bounds(packed, address, unit, weights, rest, stops, rows, shift, floor, out
             even = np.uint64(0)
             odd = np.uint64(0)
             while p < stops[k]:
-                v = np.uint64(packed[np.uint32(address[np.uint32(rows[p, 0] + s0)] + address[np.uint32(rows[p, 1] + s1)])])
+                at = address[np.uint32(rows[p, 0] + s0)] + address[np.uint32(rows[p, 1] + s1)]
+                v = np.uint64(packed[np.uint32(at)])
                 w = weights[p]
                 even += (v & mask) * w
                 odd += ((v >> np.uint64(8)) & mask) * w
@@ -439,11 +444,11 @@ def _sweep(scan, tables, cells, begin, entered, angle, owner, order, first, last
     e = 0
     while True:
         until = last if e >= used else angle[order[e]]
-        if until - since > SAME_ANGLE or (best < 0 and e >= used):
-            if total > best or (total == best and until - since > result[1] - result[0]):
-                best = total
-                result[0] = since
-                result[1] = until
+        wide = until - since > SAME_ANGLE or (best < 0 and e >= used)
+        if wide and (total > best or (total == best and until - since > result[1] - result[0])):
+            best = total
+            result[0] = since
+            result[1] = until
         if e >= used:
             break
         # All crossings that float64 cannot tell apart.
@@ -703,7 +708,8 @@ def _push(stack, base, used, level, yaw, tilt, shift, bound):
 
 @njit(cache=True, nogil=True)
 def _expand(scan, lattice, rotations, tables, arcs, region, stack, base, level, q, tilt, shift, parent, state, bounds):
-    """Push the children of a node that may pass the best score from ``base`` on; return the stack's height, -1: no room.
+    """Push the children of a node that may pass the best score from ``base`` on; return the stack's height, -1: no
+    room.
 
     Its children are the groups of yaw and patches of tilt one level down, each with the 2^n halves of the block.
     """
@@ -746,7 +752,9 @@ def _expand(scan, lattice, rotations, tables, arcs, region, stack, base, level, 
 
 
 @njit(cache=True, nogil=True)
-def probe(scan, lattice, rotations, tables, arcs, region, root_bound, root_node, stack, widths, state, best_node, best_yaw):
+def probe(
+    scan, lattice, rotations, tables, arcs, region, root_bound, root_node, stack, widths, state, best_node, best_yaw
+):
     """Find a good pose quickly: keep the ``widths[k]`` best nodes of each level k only; return DONE or FULL.
 
     Nothing is proved by it. But a search that begins with a score near the best drops most nodes at the first look.
@@ -784,11 +792,13 @@ def probe(scan, lattice, rotations, tables, arcs, region, root_bound, root_node,
     for k in range(kept):
         for a in range(n):
             shift[a] = shifts[k, a]
-        if bound[k] > state[BEST] and not _left_out(lattice, rotations, region, 0, yaw[k], tilt[k], shift):
-            if not _evaluate(
-                scan, lattice, rotations, tables, arcs, yaw[k], tilt[k], shift, state, current, interval, best_node, best_yaw
-            ):
-                return FULL
+        if bound[k] <= state[BEST] or _left_out(lattice, rotations, region, 0, yaw[k], tilt[k], shift):
+            continue
+        if not _evaluate(
+            scan, lattice, rotations, tables, arcs, yaw[k], tilt[k], shift, state, current, interval, best_node,
+            best_yaw,
+        ):  # fmt: skip
+            return FULL
     return DONE
 
 
@@ -806,8 +816,8 @@ def deepen(scan, lattice, rotations, tables, arcs, region, root_bound, root_node
     while r < root_bound.shape[0] and root_bound[r] > state[BEST] and used <= room:
         if not _left_out(lattice, rotations, region, region.top, root_node[r, 0], root_node[r, 1], root_node[r, 2:]):
             more = _expand(
-                scan, lattice, rotations, tables, arcs, region, stack, used, region.top, root_node[r, 0], root_node[r, 1],
-                root_node[r, 2:], root_bound[r], state, bounds,
+                scan, lattice, rotations, tables, arcs, region, stack, used, region.top, root_node[r, 0],
+                root_node[r, 1], root_node[r, 2:], root_bound[r], state, bounds,
             )  # fmt: skip
             if more < 0:
                 return r, used, False
@@ -829,7 +839,8 @@ def most_children(rotations, level, n):
 
 @njit(cache=True, nogil=True)
 def search(
-    scan, lattice, rotations, tables, arcs, region, root_level, root_bound, root_node, stack, state, best_node, best_yaw, most_nodes
+    scan, lattice, rotations, tables, arcs, region, root_level, root_bound, root_node, stack, state, best_node,
+    best_yaw, most_nodes,
 ):
     """Carry a search on for ``most_nodes`` nodes; roots are sorted by falling bound. Return DONE, PAUSED or FULL.
 

@@ -100,9 +100,9 @@ def refine(tables, lattice, points, weights, R, t, widths, offsets, ends, steps,
     """Pull the scan onto the occupied cells around it; return how many steps were taken, -1 where nothing is near.
 
     Expectation maximisation on a sum of Gaussians: each point is drawn to the mean of the occupied cells near it, each
-    weighted by a Gaussian of its distance; the pull of all points is one Gauss-Newton step on the pose. ``R`` (n, n) and
-    ``t`` (n,) are changed in place. ``widths`` (W,) are the Gaussians' sigmas one after the other; the cells looked at for
-    sigma w are ``offsets[:ends[w]]``. ``hessian`` receives the last normal matrix over sigma^2.
+    weighted by a Gaussian of its distance; the pull of all points is one Gauss-Newton step on the pose. ``R`` (n, n)
+    and ``t`` (n,) are changed in place. ``widths`` (W,) are the Gaussians' sigmas one after the other; the cells
+    looked at for sigma w are ``offsets[:ends[w]]``. ``hessian`` receives the last normal matrix over sigma^2.
     """
     n = points.shape[1]
     size = 3 if n == 2 else 6

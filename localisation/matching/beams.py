@@ -14,8 +14,8 @@ from localisation.matching.pyramid import OccupancyPyramid
 
 __all__ = ["contradicted_share"]
 
-# How far before its end a beam must meet a wall to contradict it: in resolutions, and metres at the least. A beam along a
-# wall meets the wall's own cells before it ends on it.
+# How far before its end a beam must meet a wall to contradict it: in resolutions, and metres at the least. A beam
+# along a wall meets the wall's own cells before it ends on it.
 _BEFORE = 4.0
 _LEAST = 0.3
 # Cells of walls it must meet: one alone may be a stray hit.

@@ -1,13 +1,13 @@
 """Find a scan anywhere in a map, and prove that nothing better is there.
 
-The score of a pose is the sum of the weights of the map's cells that the scan's points fall into: with weights of one the
-number of coincident lattice points (Ryde and Bruenig, section III), counted once a point. Branch and bound over
+The score of a pose is the sum of the weights of the map's cells that the scan's points fall into: with weights of one
+the number of coincident lattice points (Ryde and Bruenig, section III), counted once a point. Branch and bound over
 intervals of angles and boxes of shifts finds the largest, over all real angles or over a stated set of them.
 
-What is proved, and what is not. Shifts are lattice vectors, so that translations are searched at the spacing of the cells;
-the refinement goes below it. The yaw is a continuum: the largest score on any open interval between the angles at which a
-point lies on the face of a cell (nearer than float64 tells, those angles belong to no cell and are left out). In space the
-tilts are a grid on which neighbours move no point by more than a cell.
+What is proved, and what is not. Shifts are lattice vectors, so that translations are searched at the spacing of the
+cells; the refinement goes below it. The yaw is a continuum: the largest score on any open interval between the angles
+at which a point lies on the face of a cell (nearer than float64 tells, those angles belong to no cell and are left
+out). In space the tilts are a grid on which neighbours move no point by more than a cell.
 """
 
 from __future__ import annotations
@@ -118,11 +118,11 @@ class GlobalMatcher:
         inverse = np.ascontiguousarray(np.linalg.inv(lattice.basis))
         self._row_norms = np.linalg.norm(inverse, axis=1)
         self._lattice = kernels.LatticeArrays(
-            np.ascontiguousarray(lattice.basis),
-            inverse,
+            np.array(lattice.basis, order="C"),
+            np.array(inverse, order="C"),
             np.concatenate([cell_reach(lattice), self._row_norms]),
-            np.array(lattice.cell.faces, np.int64),
-            np.array(lattice.cell.normals, np.float64),
+            np.array(lattice.cell.faces, np.int64, order="C"),
+            np.array(lattice.cell.normals, np.float64, order="C"),
         )
         n = lattice.dim
         if known is None:
@@ -142,7 +142,9 @@ class GlobalMatcher:
         self._scratch = threading.local()
 
     @classmethod
-    def of_map(cls, map: Map, rule: StateRule | None = None, level: int = 0, *, anywhere: bool = False) -> GlobalMatcher:
+    def of_map(
+        cls, map: Map, rule: StateRule | None = None, level: int = 0, *, anywhere: bool = False
+    ) -> GlobalMatcher:
         """Return a matcher on the occupied cells of a level of a map, for a sensor in its known cells.
 
         Args:
@@ -171,7 +173,8 @@ class GlobalMatcher:
         """Return the best pose of a region, or None where nothing coincides.
 
         Args:
-            points: (P, n) the scan in the sensor's frame, metres. Points of one cell are taken as one (see :func:`thin`).
+            points: (P, n) the scan in the sensor's frame, metres. Points of one cell are taken as one (see
+                :func:`thin`).
             region: where to look; None: the whole map and all yaws.
             angles: "continuous", or a step in radians: then the yaws are its multiples, from ``region.yaw`` on.
             apart: metres and radians within which a pose is the same as the best.
@@ -218,7 +221,7 @@ class GlobalMatcher:
             pose, refined = result.pose, result.converged
         index = lattice.quantise(best.pose.apply(kept))
         met = self.pyramid.weights(index) > 0
-        known = np.linalg.inv(score_covariance(self.pyramid, kept, weights, best.pose)) if information else None
+        covariance = score_covariance(self.pyramid, kept, weights, best.pose) if information else None
         return Match(
             pose=pose,
             searched=best.pose,
@@ -234,7 +237,7 @@ class GlobalMatcher:
             apart=apart if second else None,
             overlap=float(weights[met].sum() / weights.sum()),
             contradicted=contradicted_share(self.pyramid, p, pose) if beams else None,
-            information=known,
+            information=None if covariance is None else np.asarray(np.linalg.inv(covariance), np.float64),
         )
 
 
@@ -262,8 +265,12 @@ class _Search:
         most = matcher.pyramid.most
         rest = np.append(np.cumsum(self.weights[::-1])[::-1], 0) * most
         inverse = self.matcher._lattice.inverse
-        waves = np.stack([self.points[:, :2] @ inverse[:, :2].T, self.points[:, :2] @ np.stack([inverse[:, 1], -inverse[:, 0]])], axis=-1)
-        self.scan = kernels.ScanArrays(self.points, np.ascontiguousarray(waves), self.weights.astype(np.uint64), rest, _stops(self.weights))
+        x, y = self.points[:, :1], self.points[:, 1:2]
+        # Written out: a matrix product may round a row differently when the number of rows changes.
+        waves = np.stack([x * inverse[:, 0] + y * inverse[:, 1], x * inverse[:, 1] - y * inverse[:, 0]], axis=-1)
+        self.scan = kernels.ScanArrays(
+            self.points, waves, self.weights.astype(np.uint64), rest, _stops(self.weights)
+        )
         box = region.box(lattice)
         low, high = matcher._low, matcher._high
         if box is not None:
@@ -313,8 +320,8 @@ class _Search:
         for level in range(1, self.top + 1):
             # The arc over a group moves the farthest point by no more than the tables were made for.
             room = most_motion(level) / (unit * self.motion)
-            widest = 1 << max(0, math.floor(math.log2(room + (0.0 if continuous else 1.0)) + 1e-9)) if room >= 1.0 else 1
-            group.append(max(group[-1], widest))
+            units = room if continuous else room + 1.0
+            group.append(max(group[-1], 1 << max(0, math.floor(math.log2(units) + 1e-9)) if units >= 1.0 else 1))
         tilts, radius, starts, children, child_start = _tilts(n, region.tilt, self.motion, self.top)
         return self.kernels.RotationArrays(
             float(first), float(unit), count, continuous, np.array(group), tilts, radius, starts, children, child_start
@@ -347,7 +354,7 @@ class _Search:
         return scratch.arcs
 
     def run(self, floor: int, end: float, away: tuple[Pose, tuple[float, float]] | None = None) -> _Found:
-        """Find the best pose that scores more than ``floor``, outside the neighbourhood of ``away`` where it is given."""
+        """Find the best pose that scores more than ``floor``, outside the neighbourhood of ``away`` if it is given."""
         room = 4 * len(self.points) + 64
         while True:
             found = self._run(floor, end, away, room)
@@ -380,8 +387,7 @@ class _Search:
             return None
         order = np.argsort(-bound[:used], kind="stable")
         bound, node, level = bound[:used][order], node[:used][order], self.top
-        nodes = k.Stack(*(np.empty(s, np.int64) for s in (_MOST_NODES,) * 3), np.empty((_MOST_NODES, n), np.int64),
-                        np.empty(_MOST_NODES, np.int64))  # fmt: skip
+        nodes = _stack(k, _MOST_NODES, n)
         children = k.most_children(self.rotations, self.top, n)
         widths = np.minimum(np.array(_WIDTHS[: self.top + 1]), max(16, (_MOST_NODES // 4) // children))
         if k.probe(*fixed, bound, node, nodes, widths, state, best_node, best_yaw) == k.FULL:
@@ -394,7 +400,7 @@ class _Search:
             bound, level = nodes.bound[order], self.top - 1
             node = np.column_stack([nodes.yaw[order], nodes.tilt[order], nodes.shift[order]])
         depth = (self.top + 2) * children + 64
-        stack = k.Stack(*(np.empty(depth, np.int64) for _ in range(3)), np.empty((depth, n), np.int64), np.empty(depth, np.int64))
+        stack = _stack(k, depth, n)
         code = k.PAUSED
         while code == k.PAUSED:
             code = k.search(*fixed, level, bound, node, stack, state, best_node, best_yaw, _SLICE)
@@ -405,7 +411,14 @@ class _Search:
         return self._found(floor, state, best_node, best_yaw, stack, bound, code == k.DONE)
 
     def _found(
-        self, floor: int, state: IntArray, best_node: IntArray, best_yaw: FloatArray, stack: Any, bound: IntArray, done: bool
+        self,
+        floor: int,
+        state: IntArray,
+        best_node: IntArray,
+        best_yaw: FloatArray,
+        stack: Any,
+        bound: IntArray,
+        done: bool,
     ) -> _Found:
         k = self.kernels
         score = int(state[k.BEST])
@@ -429,9 +442,16 @@ class _Search:
         return _Found(score, max(most, score), pose, nodes, done)
 
 
+def _stack(kernels: Any, room: int, n: int) -> Any:
+    """Return room for so many nodes."""
+    level, yaw, tilt, bound = (np.empty(room, np.int64) for _ in range(4))
+    return kernels.Stack(level, yaw, tilt, np.empty((room, n), np.int64), bound)
+
+
 def _stops(weights: IntArray) -> IntArray:
     """Return after how many points a sum is looked at: every 16, sooner where lanes of 16 bits would overflow."""
-    stops, total = [], 0
+    stops: list[int] = []
+    total = 0
     for p, w in enumerate(weights.tolist()):
         if total + w > _LANE or (stops and p - stops[-1] >= 16) or (not stops and p >= 16):
             stops.append(p)
@@ -443,13 +463,13 @@ def _stops(weights: IntArray) -> IntArray:
 def _tilts(n: int, tilt: float, motion: float, top: int) -> tuple[NDArray[Any], ...]:
     """Return rotations, radii, starts by level, children and their starts of the patches of tilts.
 
-    The tilts are a square grid of rotation vectors about horizontal axes in the disc of radius ``tilt``; its step moves the
-    farthest point by one index. A patch of a higher level holds a square of them that moves it by no more than the
-    tables were made for.
+    The tilts are a square grid of rotation vectors about horizontal axes in the disc of radius ``tilt``; its step
+    moves the farthest point by one index. A patch of a higher level holds a square of them that moves it by no more
+    than the tables were made for.
     """
     half = 0 if n == 2 or tilt <= 0.0 else math.ceil(tilt * motion)
     step = tilt / half if half else 0.0
-    grid = np.arange(-half, half + 1)
+    grid = range(-half, half + 1)
     lattice_points = [(i, j) for i in grid for j in grid if math.hypot(i, j) <= half + 1e-9]
     side = 1
     levels = [{point: [point] for point in lattice_points}]
@@ -482,11 +502,12 @@ def _tilts(n: int, tilt: float, motion: float, top: int) -> tuple[NDArray[Any], 
 def match_anywhere(map: Map, points: ArrayLike, **how: Any) -> Match | None:
     """Find a scan in a map without knowing anything of where it is.
 
-    For many scans of one map make a :class:`GlobalMatcher` once. ``how`` is handed to :meth:`GlobalMatcher.match`.
+    For many scans of one map make a :class:`GlobalMatcher` once.
 
     Args:
         map: the map.
         points: (P, n) the scan in the sensor's frame, metres.
+        **how: what :meth:`GlobalMatcher.match` takes.
 
     Returns:
         The best pose of the sensor, T_map_scan, and what is known of it; None where nothing coincides.

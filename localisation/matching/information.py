@@ -1,9 +1,9 @@
 """How sure a match is: the covariance that the surface of scores around it tells.
 
 Poses near the best one are weighted with exp((score - best) / T), and the second moments of these weights are the
-covariance (Olson, "Real-time correlative scan matching", 2009, Eq. 8). Neighbouring beams are not independent, so T is not
-one point but a share of the scan's points; and whatever the surface says, a pose is not known better than quantising
-leaves it, so that the second moment of a cell is added as the floor.
+covariance (Olson, "Real-time correlative scan matching", 2009, Eq. 8). Neighbouring beams are not independent, so T
+is not one point but a share of the scan's points; and whatever the surface says, a pose is not known better than
+quantising leaves it, so that the second moment of a cell is added as the floor.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ def score_covariance(
             R = Pose.planar(0.0, 0.0, float(vector[0])).rotation if n == 2 else exponential(vector)
             index[k] = lattice.quantise(Pose(R @ pose.rotation, pose.translation).apply(points))
         scores = np.empty((len(vectors), len(shifts)), np.int64)
-        kernels.surface(pyramid.tables(0), index, np.ascontiguousarray(weights), np.ascontiguousarray(shifts, np.int64), scores)
+        shifts = np.ascontiguousarray(shifts, dtype=np.int64)
+        kernels.surface(pyramid.tables(0), index, np.array(weights, np.int64), shifts, scores)
         heat = np.exp((scores - scores.max()) / T)
         heat /= heat.sum()
         offsets = lattice.centres(shifts)

@@ -7,7 +7,7 @@ lattice indices does, on every lattice, because a lattice in its own basis is Z^
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ class Tables(NamedTuple):
     """The pyramid as the kernels see it; an index is counted from ``low``, and there are ``length`` an axis.
 
     Attributes:
-        cells: flat uint8 or uint16, the weight of each cell.
+        cells: flat uint16, the weight of each cell.
         cell_address: (n * length,) int32, what an index adds to the flat address in ``cells``, axis by axis.
         packed: flat; an entry holds the maxima over 2^n boxes, a byte each.
         address: (T * n * length,) int32, the same for the tables in ``packed``.
@@ -43,7 +43,7 @@ class Tables(NamedTuple):
 
     cells: NDArray[np.uint16]
     cell_address: NDArray[np.int32]
-    packed: NDArray[np.uint64]
+    packed: NDArray[Any]
     address: NDArray[np.int32]
     windows: IntArray
     low: IntArray
@@ -86,7 +86,8 @@ def cell_reach(lattice: Lattice) -> FloatArray:
 def level_windows(lattice: Lattice, level: int) -> tuple[int, int, int]:
     """Return the boxes of a level's tables: for points that reach over a third, two thirds and all of the most."""
     most = most_spread(lattice, level)
-    return tuple((1 << level) - 1 + -(-most * part // _VARIANTS) for part in range(1, _VARIANTS + 1))  # type: ignore[return-value]
+    first, second, third = ((1 << level) - 1 + -(-most * part // _VARIANTS) for part in range(1, _VARIANTS + 1))
+    return first, second, third
 
 
 class OccupancyPyramid:
@@ -136,9 +137,10 @@ class OccupancyPyramid:
                 f"than {_MOST_ENTRIES:,}; take a coarser level"
             )
         self._starts = np.cumsum([0, *sizes[:-1]]).tolist()
-        self.cells = np.zeros(self._size(self._cell_grid), np.uint8 if self.most < 256 else np.uint16)
+        self.cells = np.zeros(self._size(self._cell_grid), np.uint16)
         self.packed = np.zeros(sum(sizes), np.uint32 if n == 2 else np.uint64)
-        kernels.raise_cells(index, weights.astype(self.cells.dtype), self.low, self._addresses(self._cell_grid), self.cells)
+        addresses = self._addresses(self._cell_grid)
+        kernels.raise_cells(index, weights.astype(np.uint16), self.low, addresses, self.cells)
         steps = (-(-weights // self.unit)).astype(np.uint8)
         for grid, start in zip(self._grids, self._starts, strict=True):
             values = self.packed[start : start + self._size(grid)]
@@ -206,12 +208,12 @@ class OccupancyPyramid:
         out[0] += start
         return out
 
-    def weights(self, index: IntArray) -> IntArray:
+    def weights(self, index: NDArray[np.integer[Any]]) -> IntArray:
         """Return the weight (M,) of each of the cells ``index`` (M, n), 0 outside the map."""
         from localisation.matching import _pose_kernels as kernels
 
         out = np.empty(len(index), np.int64)
-        kernels.weights_of(self.tables(0), np.ascontiguousarray(index), out)
+        kernels.weights_of(self.tables(0), np.ascontiguousarray(index, dtype=np.int64), out)
         return out
 
     @property

@@ -1,7 +1,7 @@
 """Scores: one non-negative whole number a cell, what a point that falls into it counts.
 
-A matcher adds them up and asks for nothing else, so that every score has the same search, bounds and certificate. One of
-your own is a :class:`~hexmap.maps.VoxelList` whose counts are the numbers; cells that are not in it count nothing.
+A matcher adds them up and asks for nothing else, so that every score has the same search, bounds and certificate. One
+of your own is a :class:`~hexmap.maps.VoxelList` whose counts are the numbers; cells that are not in it count nothing.
 """
 
 from __future__ import annotations

@@ -56,7 +56,8 @@ class SearchRegion:
             raise ArgumentError("a region takes both corners or none")
         if self.low is not None and self.high is not None:
             low, high = frozen(self.low), frozen(self.high)
-            if low.shape != high.shape or low.ndim != 1 or not (low <= high).all() or not np.isfinite([low, high]).all():
+            fits = low.shape == high.shape and low.ndim == 1
+            if not (fits and (low <= high).all() and np.isfinite([low, high]).all()):
                 raise ArgumentError(f"the corners of a region must be finite, the low one first, not {low} and {high}")
             object.__setattr__(self, "low", low)
             object.__setattr__(self, "high", high)
@@ -73,7 +74,9 @@ class SearchRegion:
             return None
         low, high = np.asarray(self.low), np.asarray(self.high)
         if len(low) != lattice.dim:
-            raise ArgumentError(f"the corners of a region have {len(low)} numbers, the map is of dimension {lattice.dim}")
+            raise ArgumentError(
+                f"the corners of a region have {len(low)} numbers, the map is of dimension {lattice.dim}"
+            )
         return low, high
 
 
