@@ -294,6 +294,10 @@ class _Search:
         reach = math.ceil(self.motion) + 8 + 2 * size
         beyond = int(max((matcher.pyramid.low - self.low).max(), (high - matcher.pyramid.high).max(), 0))
         self.tables = matcher.pyramid.tables(reach + beyond)
+        # Both runs of a search share the cells of rotations and the nodes of the top level.
+        self._room = 0
+        self._slots: Any = None
+        self._roots: tuple[IntArray, IntArray] | None = None
 
     def _candidates(self, low: IntArray, high: IntArray) -> int:
         tilts = int(self.rotations.tilt_start[1])
@@ -374,19 +378,16 @@ class _Search:
         state = np.zeros(6, np.int64)
         state[k.BEST] = floor
         best_node, best_yaw = np.zeros(1 + n, np.int64), np.zeros(2)
-        arcs = self._arcs(room)
-        fixed = (self.scan, self.matcher._lattice, self.rotations, self.tables, arcs, region)
-        groups = -(-self.rotations.count // int(self.rotations.group[self.top]))
-        tilts = int(self.rotations.tilt_start[self.top + 1] - self.rotations.tilt_start[self.top])
-        most = math.prod(int(b) for b in self.blocks) * groups * tilts << n
-        if most > _MOST_ROOTS:
-            raise TooLargeError(f"a region of {most:,} blocks of shifts and angles is too large for a search")
-        bound, node = np.empty(most, np.int64), np.empty((most, 2 + n), np.int64)
-        used = k.roots(*fixed, floor, bound, node)
-        if used < 0:
+        if self._room != room:
+            self._room, self._slots, self._roots = room, self._arcs(room), None
+        fixed = (self.scan, self.matcher._lattice, self.rotations, self.tables, self._slots, region)
+        if self._roots is None:
+            self._roots = self._all_roots(fixed)
+        if self._roots is None:
             return None
-        order = np.argsort(-bound[:used], kind="stable")
-        bound, node, level = bound[:used][order], node[:used][order], self.top
+        bound, node = self._roots
+        passing = int(np.searchsorted(-bound, -floor, side="left"))
+        bound, node, level = bound[:passing], node[:passing], self.top
         nodes = _stack(k, _MOST_NODES, n)
         children = k.most_children(self.rotations, self.top, n)
         widths = np.minimum(np.array(_WIDTHS[: self.top + 1]), max(16, (_MOST_NODES // 4) // children))
@@ -409,6 +410,22 @@ class _Search:
             if code == k.PAUSED and time.monotonic() > end:
                 break
         return self._found(floor, state, best_node, best_yaw, stack, bound, code == k.DONE)
+
+    def _all_roots(self, fixed: tuple[Any, ...]) -> tuple[IntArray, IntArray] | None:
+        """Return bounds and nodes of the top level, the best first; None where the slots had no room."""
+        k = self.kernels
+        n = self.points.shape[1]
+        groups = -(-self.rotations.count // int(self.rotations.group[self.top]))
+        tilts = int(self.rotations.tilt_start[self.top + 1] - self.rotations.tilt_start[self.top])
+        most = math.prod(int(b) for b in self.blocks) * groups * tilts << n
+        if most > _MOST_ROOTS:
+            raise TooLargeError(f"a region of {most:,} blocks of shifts and angles is too large for a search")
+        bound, node = np.empty(most, np.int64), np.empty((most, 2 + n), np.int64)
+        used = k.roots(*fixed, 0, bound, node)
+        if used < 0:
+            return None
+        order = np.argsort(-bound[:used], kind="stable")
+        return bound[:used][order], node[:used][order]
 
     def _found(
         self,
