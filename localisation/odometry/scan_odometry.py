@@ -9,9 +9,9 @@ import numpy as np
 
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
-from localisation.matching.local_matcher import ScanMatcher
+from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.match import Match
-from localisation.matching.occupancy import CounterOccupancy
+from localisation.matching.occupancy import Occupancy
 from localisation.matching.search_region import SearchWindow
 from localisation.settings import MappingSettings, limit_of, make_builder, make_mount
 
@@ -27,9 +27,9 @@ class ScanMapper:
         self.settings = settings
         self.builder = make_builder(settings)
         self.mount = make_mount(settings, mount)
-        self._matcher = ScanMatcher(SearchWindow(settings.search_metres, settings.search_radians))
-        self._coarse = CounterOccupancy(self.builder.counter(settings.search_level), settings.rule)
-        self._fine = CounterOccupancy(self.builder.counter(0), settings.rule)
+        self._matcher = LocalMatcher(SearchWindow(settings.search_metres, settings.search_radians))
+        self._coarse = Occupancy.of_counter(self.builder.counter(settings.search_level), settings.rule)
+        self._fine = Occupancy.of_counter(self.builder.counter(0), settings.rule)
         self._T_map_robot = Pose.identity(2)
         self._last_motion = Pose.identity(2)
         self._T_odom_robot: Pose | None = None
