@@ -25,11 +25,22 @@ ZERO = np.uint64(0)
 ONE = np.uint64(1)
 # Words that are added up before a block is looked at again: a multiple of eight.
 BATCH = 32
+# Points that are turned and quantised together.
+TOGETHER = 2048
 # Which bit stands alone in a word, by the top bits of its product with a de Bruijn sequence.
 _SEQUENCE = np.uint64(0x03F79D71B4CB0A89)
 _BITS = np.zeros(64, np.int64)
 for _bit in range(64):
     _BITS[(0x03F79D71B4CB0A89 << _bit & (2**64 - 1)) >> 58] = _bit
+
+
+# Which bits of a word belong to the first few indices along an axis: in the plane and in space, axis, how many indices.
+_FIRST = np.zeros((2, 3, 9), np.uint64)
+for _bit in range(64):
+    for _axis, _at in enumerate((_bit // 8, _bit % 8)):
+        _FIRST[0, _axis, _at + 1 :] |= np.uint64(1 << _bit)
+    for _axis, _at in enumerate((_bit // 16, _bit // 4 % 4, _bit % 4)):
+        _FIRST[1, _axis, _at + 1 :] |= np.uint64(1 << _bit)
 
 
 class BoxTiles(NamedTuple):
@@ -146,21 +157,26 @@ def change(tiles, index, states, begin, used):
 
 
 @njit(cache=True, nogil=True)
-def _turned_cells(points, R, t, q, turned, index):
-    """Write the cells of the points under a rotation and a translation; returns how many are out of range."""
-    n = points.shape[1]
+def _turned_cells(points, turns, begin, end, t, q, turned, index):
+    """Write the cells of the points under some of the rotations; returns how many are out of range."""
+    count, n = points.shape
     # In the order of numpy's columns, so that a cell is the one that Lattice.quantise gives.
-    for p in range(points.shape[0]):
+    for o in range(begin, end):
+        R = turns.rotations[turns.order[o]]
+        base = (o - begin) * count
         for i in range(n):
-            x = R[i, 0] * points[p, 0]
-            for k in range(1, n):
-                x += R[i, k] * points[p, k]
-            turned[p, i] = x + t[i]
+            # Numbers of their own, which stay in registers.
+            a, b, c = R[i, 0], R[i, 1], t[i]
+            for p in range(count):
+                turned[base + p, i] = a * points[p, 0] + b * points[p, 1] + c
+            if n == 3:
+                d = R[i, 2]
+                for p in range(count):
+                    turned[base + p, i] = a * points[p, 0] + b * points[p, 1] + d * points[p, 2] + c
+    x, out = turned[: (end - begin) * count], index[: (end - begin) * count]
     if n == 2:
-        return quantise_2d(
-            turned, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, index
-        )
-    return quantise_3d(turned, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, index)
+        return quantise_2d(x, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, out)
+    return quantise_3d(x, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, out)
 
 
 @njit(cache=True, nogil=True)
@@ -285,11 +301,13 @@ def search(tiles, points, translation, turns, blocks, quantiser, best):
         blocks: the shifts.
         quantiser: of the lattice.
         best: (6,) receives rotation, shift (3 numbers), score and the number of distinct cells; where a point was out of
-            range the rotation alone, and -1 as score.
+            range, -1 as score.
     """
     count, n = points.shape
-    turned = np.empty((count, n))
-    index = np.empty((count, n), np.int32)
+    # Some rotations at a time: the quantiser takes blocks of points.
+    together = max(1, TOGETHER // count)
+    turned = np.empty((together * count, n))
+    index = np.empty((together * count, n), np.int32)
     cells = np.empty((count, n), np.int64)
     room = 16
     while room < 2 * count:
@@ -309,10 +327,13 @@ def search(tiles, points, translation, turns, blocks, quantiser, best):
     taken = 0
     for o in range(turns.order.shape[0]):
         r = turns.order[o]
-        if _turned_cells(points, turns.rotations[r], translation, quantiser, turned, index) > 0:
-            best[0], best[4] = r, -1
-            return taken
-        distinct = _distinct(index, keys, stamps, r, cells)
+        if o % together == 0:
+            end = min(o + together, turns.order.shape[0])
+            if _turned_cells(points, turns, o, end, translation, quantiser, turned, index) > 0:
+                best[4] = -1
+                return taken
+        first = (o % together) * count
+        distinct = _distinct(index[first : first + count], keys, stamps, r, cells)
         for block in range(blocks.low.shape[0]):
             taken += 1
             planes[:] = ZERO
@@ -420,48 +441,136 @@ class Gaussians(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _pull(tiles, field, width, x, first, last, corner, pull):
-    """Write the sum of the Gaussians' pulls on the point ``x``; returns the sum of the Gaussians."""
-    n = x.shape[0]
-    side = np.int64(8) if n == 2 else np.int64(4)
+def _exponential(x):
+    """Return exp(x), -4 <= x <= 0, to 4e-7 of it: Taylor's series at x / 16, then four squarings.
+
+    A weight needs no more, and half of the refinement's time would go into the library's exponential.
+    """
+    z = x * 0.0625
+    y = 1.0 + z * (1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0 + z * (1.0 / 120.0)))))
+    y *= y
+    y *= y
+    y *= y
+    return y * y
+
+
+@njit(cache=True, nogil=True)
+def _ends(u, reach):
+    """Return the lowest and the highest index within ``reach`` of a coordinate."""
+    return np.int64(np.ceil(u - reach)), np.int64(np.floor(u + reach))
+
+
+@njit(cache=True, nogil=True)
+def _pull_2d(tiles, field, width, x0, x1):
+    """Return the sum of the Gaussians around a point of the plane, and of their pulls on it."""
+    basis, inverse, reach, lanes = field.basis, field.inverse, field.reach, field.lanes
     variance = field.sigmas[width] * field.sigmas[width]
     limit = field.farthest * field.farthest * variance
-    # The cells that count lie in this box of indices.
-    for a in range(n):
-        u = 0.0
-        for k in range(n):
-            u += field.inverse[a, k] * x[k]
-        first[a] = np.int64(np.ceil(u - field.reach[width, a]))
-        last[a] = np.int64(np.floor(u + field.reach[width, a]))
-        pull[a] = 0.0
-    total = 0.0
-    for i in range(first[0], last[0] + 1, side):
-        for j in range(first[1], last[1] + 1, side):
-            for k in range(first[2], last[2] + 1, side):
-                word = _word(tiles, i, j, k, n)
-                if word == ZERO:
-                    continue
-                # From the point to the centre of the word's first cell.
-                for a in range(n):
-                    corner[a] = field.basis[a, 0] * i + field.basis[a, 1] * j - x[a]
-                    if n == 3:
-                        corner[a] += field.basis[a, 2] * k
+    scale = -0.5 / variance
+    i0, i1 = _ends(inverse[0, 0] * x0 + inverse[0, 1] * x1, reach[width, 0])
+    j0, j1 = _ends(inverse[1, 0] * x0 + inverse[1, 1] * x1, reach[width, 1])
+    total, pull0, pull1 = 0.0, 0.0, 0.0
+    for i in range(i0, i1 + 1, 8):
+        for j in range(j0, j1 + 1, 8):
+            # Of the box only those cells that can be near enough.
+            word = _word(tiles, i, j, 0, 2) & _FIRST[0, 0, min(i1 + 1 - i, 8)] & _FIRST[0, 1, min(j1 + 1 - j, 8)]
+            # From the point to the centre of the box's first cell.
+            corner0 = basis[0, 0] * i + basis[0, 1] * j - x0
+            corner1 = basis[1, 0] * i + basis[1, 1] * j - x1
+            while word != ZERO:
+                lane = _lowest_bit(word)
+                word &= word - ONE
+                d0 = corner0 + lanes[lane, 0]
+                d1 = corner1 + lanes[lane, 1]
+                squared = d0 * d0 + d1 * d1
+                if squared <= limit:
+                    w = _exponential(scale * squared)
+                    total += w
+                    pull0 += w * d0
+                    pull1 += w * d1
+    return total, pull0, pull1
+
+
+@njit(cache=True, nogil=True)
+def _pull_3d(tiles, field, width, x0, x1, x2):
+    """Return the sum of the Gaussians around a point of space, and of their pulls on it."""
+    basis, inverse, reach, lanes = field.basis, field.inverse, field.reach, field.lanes
+    variance = field.sigmas[width] * field.sigmas[width]
+    limit = field.farthest * field.farthest * variance
+    scale = -0.5 / variance
+    i0, i1 = _ends(inverse[0, 0] * x0 + inverse[0, 1] * x1 + inverse[0, 2] * x2, reach[width, 0])
+    j0, j1 = _ends(inverse[1, 0] * x0 + inverse[1, 1] * x1 + inverse[1, 2] * x2, reach[width, 1])
+    k0, k1 = _ends(inverse[2, 0] * x0 + inverse[2, 1] * x1 + inverse[2, 2] * x2, reach[width, 2])
+    total, pull0, pull1, pull2 = 0.0, 0.0, 0.0, 0.0
+    for i in range(i0, i1 + 1, 4):
+        for j in range(j0, j1 + 1, 4):
+            for k in range(k0, k1 + 1, 4):
+                word = _word(tiles, i, j, k, 3) & _FIRST[1, 0, min(i1 + 1 - i, 4)]
+                word &= _FIRST[1, 1, min(j1 + 1 - j, 4)] & _FIRST[1, 2, min(k1 + 1 - k, 4)]
+                corner0 = basis[0, 0] * i + basis[0, 1] * j + basis[0, 2] * k - x0
+                corner1 = basis[1, 0] * i + basis[1, 1] * j + basis[1, 2] * k - x1
+                corner2 = basis[2, 0] * i + basis[2, 1] * j + basis[2, 2] * k - x2
                 while word != ZERO:
                     lane = _lowest_bit(word)
                     word &= word - ONE
-                    d0 = corner[0] + field.lanes[lane, 0]
-                    d1 = corner[1] + field.lanes[lane, 1]
-                    d2 = corner[2] + field.lanes[lane, 2] if n == 3 else 0.0
+                    d0 = corner0 + lanes[lane, 0]
+                    d1 = corner1 + lanes[lane, 1]
+                    d2 = corner2 + lanes[lane, 2]
                     squared = d0 * d0 + d1 * d1 + d2 * d2
-                    if squared > limit:
-                        continue
-                    w = np.exp(-0.5 * squared / variance)
-                    total += w
-                    pull[0] += w * d0
-                    pull[1] += w * d1
-                    if n == 3:
-                        pull[2] += w * d2
-    return total
+                    if squared <= limit:
+                        w = _exponential(scale * squared)
+                        total += w
+                        pull0 += w * d0
+                        pull1 += w * d1
+                        pull2 += w * d2
+    return total, pull0, pull1, pull2
+
+
+@njit(cache=True, nogil=True)
+def _normal_equations_2d(tiles, field, width, points, R, t, A, g):
+    """Add up what all points of a scan of the plane pull at the pose: ``A`` (3, 3), its lower half, and ``g`` (3,)."""
+    a00, a01, a10, a11, t0, t1 = R[0, 0], R[0, 1], R[1, 0], R[1, 1], t[0], t[1]
+    # The columns of d(point) / d(pose) are the identity and the turn about the sensor. A point weighs as much as the sum
+    # of its Gaussians, by which the mean that it is drawn to would have to be divided.
+    w, w0, w1, w2, g0, g1, g2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for p in range(points.shape[0]):
+        r0 = a00 * points[p, 0] + a01 * points[p, 1]
+        r1 = a10 * points[p, 0] + a11 * points[p, 1]
+        total, pull0, pull1 = _pull_2d(tiles, field, width, r0 + t0, r1 + t1)
+        w += total
+        w0 -= total * r1
+        w1 += total * r0
+        w2 += total * (r0 * r0 + r1 * r1)
+        g0 += pull0
+        g1 += pull1
+        g2 += r0 * pull1 - r1 * pull0
+    A[0, 0], A[1, 0], A[1, 1], A[2, 0], A[2, 1], A[2, 2] = w, 0.0, w, w0, w1, w2
+    g[0], g[1], g[2] = g0, g1, g2
+
+
+@njit(cache=True, nogil=True)
+def _normal_equations_3d(tiles, field, width, points, R, t, A, g):
+    """Add up what all points of a scan in space pull at the pose: ``A`` (6, 6), its lower half, and ``g`` (6,)."""
+    A[:] = 0.0
+    g[:] = 0.0
+    J = np.zeros((3, 6))
+    J[0, 0], J[1, 1], J[2, 2] = 1.0, 1.0, 1.0
+    r = np.empty(3)
+    pull = np.empty(3)
+    for p in range(points.shape[0]):
+        for i in range(3):
+            r[i] = R[i, 0] * points[p, 0] + R[i, 1] * points[p, 1] + R[i, 2] * points[p, 2]
+        total, pull[0], pull[1], pull[2] = _pull_3d(tiles, field, width, r[0] + t[0], r[1] + t[1], r[2] + t[2])
+        if total == 0.0:
+            continue
+        J[0, 4], J[0, 5] = r[2], -r[1]
+        J[1, 3], J[1, 5] = -r[2], r[0]
+        J[2, 3], J[2, 4] = r[1], -r[0]
+        for i in range(3):
+            for a in range(6):
+                g[a] += J[i, a] * pull[i]
+                for b in range(a + 1):
+                    A[a, b] += total * J[i, a] * J[i, b]
 
 
 @njit(cache=True, nogil=True)
@@ -476,50 +585,14 @@ def refine(tiles, field, points, R, t, steps, tolerance, hessian):
     size = 3 if n == 2 else 6
     A = np.empty((size, size))
     g = np.empty(size)
-    x = np.empty(n)
-    pull = np.empty(n)
-    corner = np.empty(n)
-    # In the plane there is one layer of cells, with the third index 0.
-    first = np.zeros(3, np.int64)
-    last = np.zeros(3, np.int64)
-    J = np.zeros((n, size))
-    for i in range(n):
-        J[i, i] = 1.0
     taken = 0
     for width in range(field.sigmas.shape[0]):
         variance = field.sigmas[width] * field.sigmas[width]
         for _ in range(steps):
-            A[:] = 0.0
-            g[:] = 0.0
-            for p in range(points.shape[0]):
-                for i in range(n):
-                    x[i] = t[i]
-                    for k in range(n):
-                        x[i] += R[i, k] * points[p, k]
-                total = _pull(tiles, field, width, x, first, last, corner, pull)
-                if total < 1e-12:
-                    continue
-                # Rows of d(point) / d(pose): the identity, then the turn about the sensor. The weight of the point is
-                # the sum of its Gaussians, by which the mean was to be divided.
-                if n == 2:
-                    j0, j1 = t[1] - x[1], x[0] - t[0]
-                    g[0] += pull[0]
-                    g[1] += pull[1]
-                    g[2] += j0 * pull[0] + j1 * pull[1]
-                    A[0, 0] += total
-                    A[1, 1] += total
-                    A[2, 0] += total * j0
-                    A[2, 1] += total * j1
-                    A[2, 2] += total * (j0 * j0 + j1 * j1)
-                    continue
-                J[0, 4], J[0, 5] = x[2] - t[2], t[1] - x[1]
-                J[1, 3], J[1, 5] = t[2] - x[2], x[0] - t[0]
-                J[2, 3], J[2, 4] = x[1] - t[1], t[0] - x[0]
-                for i in range(n):
-                    for a in range(size):
-                        g[a] += J[i, a] * pull[i]
-                        for b in range(a + 1):
-                            A[a, b] += total * J[i, a] * J[i, b]
+            if n == 2:
+                _normal_equations_2d(tiles, field, width, points, R, t, A, g)
+            else:
+                _normal_equations_3d(tiles, field, width, points, R, t, A, g)
             trace = 0.0
             for a in range(size):
                 trace += A[a, a]

@@ -160,9 +160,10 @@ class LocalMatcher:
             world.tiles, p, predicted.translation, kernels.Turns(rotations, costs, order),
             _blocks(lattice, window.metres), lattice.quantiser_tables, best,
         )  # fmt: skip
-        r = int(best[0])
         if best[4] < 0:
-            lattice.quantise(Pose._trusted(rotations[r], predicted.translation).apply(p))  # raises, naming the row
+            for R in rotations:
+                lattice.quantise(Pose._trusted(R.copy(), predicted.translation).apply(p))  # raises, naming the row
+        r = int(best[0])
         if best[4] <= 0:
             return None
         shift = lattice.centres(best[None, 1 : 1 + n])[0]

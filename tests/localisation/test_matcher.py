@@ -16,8 +16,8 @@ from hexmap.maps.map import Map
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
-from localisation.matching.local_matcher import ScanMatcher
-from localisation.matching.occupancy import CounterOccupancy, ListOccupancy
+from localisation.matching.local_matcher import LocalMatcher
+from localisation.matching.occupancy import Occupancy
 from localisation.matching.search_region import SearchWindow, shifts_in_ball
 from tests.lattices import CASES, EXAMPLES, Case
 
@@ -63,8 +63,8 @@ def test_the_best_pose_of_the_window_is_never_lost(case: Case, seed: int) -> Non
     scan = room(lattice.dim, 25, seed + 50) + rng.normal(0, 0.1, lattice.dim)
     predicted = Pose.identity(lattice.dim)
     window = SearchWindow(0.9 if lattice.dim == 3 else 1.6, 0.12 if lattice.dim == 3 else 0.35)
-    matcher = ScanMatcher(window, refine=False)
-    match = matcher.match(scan, predicted, ListOccupancy(occupied))
+    matcher = LocalMatcher(window, refine=False)
+    match = matcher.match(scan, predicted, Occupancy.of_list(occupied))
     score, cost, _, _ = brute_force(scan, predicted, occupied, window, matcher)
     assert match is not None and match.score == score
     found = predicted.inverse() @ match.pose
@@ -82,9 +82,9 @@ def test_a_scan_is_found_below_a_cell(x: float, y: float, theta: float, name: st
     walls = room(2, 4000, 1)
     truth = Pose.planar(x, y, theta)
     scan = truth.inverse().apply(walls[::10])
-    match = ScanMatcher().match(scan, Pose.identity(2), ListOccupancy(VoxelList.from_points(walls, lattice)))
+    match = LocalMatcher().match(scan, Pose.identity(2), Occupancy.of_list(VoxelList.from_points(walls, lattice)))
     assert match is not None and match.pose.is_close(truth, metres=0.02, radians=0.01)
-    assert match.part > 0.35
+    assert match.fraction > 0.35
 
 
 @pytest.mark.parametrize("name", ["Z3", "D3", "D3*", "A2xZ"])
@@ -94,8 +94,8 @@ def test_a_scan_is_found_in_space(name: str) -> None:
     half = math.radians(2.0)
     truth = Pose.from_quaternion([0.23, -0.17, 0.11], [0.0, math.sin(half), 0.0, math.cos(half)])
     scan = truth.inverse().apply(walls[::40])
-    match = ScanMatcher(SearchWindow(0.5, 0.15)).match(
-        scan, Pose.identity(3), ListOccupancy(VoxelList.from_points(walls, lattice))
+    match = LocalMatcher(SearchWindow(0.5, 0.15)).match(
+        scan, Pose.identity(3), Occupancy.of_list(VoxelList.from_points(walls, lattice))
     )
     assert match is not None and match.pose.is_close(truth, metres=0.1, radians=0.03)  # half a cell
 
@@ -109,9 +109,9 @@ def test_a_pose_refined_far_beyond_the_search_falls_back_to_the_searched_one(nam
     window = SearchWindow(0.2, 0.004)
     for slant in (0.0005, 0.05):  # how much the wall of the map is turned about its middle
         turned = np.stack([along, 50.0 + slant * along + 0.02], axis=1)
-        world = ListOccupancy(VoxelList.from_points(turned, lattice))
-        searched = ScanMatcher(window, refine=False).match(wall, Pose.identity(2), world)
-        refined = ScanMatcher(window).match(wall, Pose.identity(2), world)
+        world = Occupancy.of_list(VoxelList.from_points(turned, lattice))
+        searched = LocalMatcher(window, refine=False).match(wall, Pose.identity(2), world)
+        refined = LocalMatcher(window).match(wall, Pose.identity(2), world)
         assert searched is not None and refined is not None
         moved = float(np.linalg.norm(refined.pose.translation - searched.pose.translation))
         if slant == 0.05:
@@ -123,8 +123,8 @@ def test_a_pose_refined_far_beyond_the_search_falls_back_to_the_searched_one(nam
 def test_equal_scores_go_to_the_pose_nearest_to_the_prediction() -> None:
     lattice = Lattice.named("Z2", 0.1)
     corridor = np.stack([np.arange(-50, 51) * 0.1, np.full(101, 1.0)], axis=1)
-    match = ScanMatcher(SearchWindow(0.5, 0.0), refine=False).match(
-        corridor[40:60], Pose.identity(2), ListOccupancy(VoxelList.from_points(corridor, lattice))
+    match = LocalMatcher(SearchWindow(0.5, 0.0), refine=False).match(
+        corridor[40:60], Pose.identity(2), Occupancy.of_list(VoxelList.from_points(corridor, lattice))
     )
     assert match is not None and match.pose == Pose.identity(2)
 
@@ -137,8 +137,8 @@ def test_a_map_that_grows_and_the_finished_map_match_alike() -> None:
     world: Map = builder.build()
     scan = Pose.planar(0.1, 0.05, 0.06).inverse().apply(walls[::7])
     for level in (0, 1):
-        grows = ScanMatcher().match(scan, Pose.identity(2), CounterOccupancy(builder.counter(level)))
-        done = ScanMatcher().match(scan, Pose.identity(2), ListOccupancy.of_map(world, level=level))
+        grows = LocalMatcher().match(scan, Pose.identity(2), Occupancy.of_counter(builder.counter(level)))
+        done = LocalMatcher().match(scan, Pose.identity(2), Occupancy.of_map(world, level=level))
         assert grows is not None and done is not None
         assert grows.score == done.score and grows.pose == done.pose
 
@@ -146,23 +146,23 @@ def test_a_map_that_grows_and_the_finished_map_match_alike() -> None:
 def test_the_angular_step_moves_the_farthest_point_by_one_cell() -> None:
     lattice = Lattice.named("A2", 0.1)
     points = np.array([[1.0, 0.0], [0.0, 8.0]])
-    step = ScanMatcher().angular_step(points, lattice)
+    step = LocalMatcher().angular_step(points, lattice)
     assert 2 * 8.0 * math.sin(step / 2) == pytest.approx(0.1)
 
 
 def test_nothing_in_reach_is_no_match() -> None:
     lattice = Lattice.named("A2", 0.1)
-    far = ListOccupancy(VoxelList.from_points([[50.0, 50.0]], lattice))
-    empty = ListOccupancy(VoxelList.empty(lattice))
-    matcher = ScanMatcher()
+    far = Occupancy.of_list(VoxelList.from_points([[50.0, 50.0]], lattice))
+    empty = Occupancy.of_list(VoxelList.empty(lattice))
+    matcher = LocalMatcher()
     assert matcher.match([[1.0, 0.0]], Pose.identity(2), far) is None
     assert matcher.match([[1.0, 0.0]], Pose.identity(2), empty) is None
     assert matcher.match(np.empty((0, 2)), Pose.identity(2), far) is None
 
 
 def test_wrong_input_is_named() -> None:
-    world = ListOccupancy(VoxelList.from_points([[0.0, 0.0]], Lattice.named("A2", 0.1)))
-    matcher = ScanMatcher()
+    world = Occupancy.of_list(VoxelList.from_points([[0.0, 0.0]], Lattice.named("A2", 0.1)))
+    matcher = LocalMatcher()
     with pytest.raises(ArgumentError):
         matcher.match(np.zeros((4, 3)), Pose.identity(2), world)
     with pytest.raises(ArgumentError):
