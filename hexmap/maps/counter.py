@@ -100,6 +100,11 @@ class CellCounter:
         self._tell()
 
     @property
+    def bytes_a_count(self) -> int:
+        """4, or 8 once a count needed more."""
+        return int(self._arrays.tiles.dtype.itemsize)
+
+    @property
     def _most(self) -> int:
         return int(np.iinfo(self._arrays.tiles.dtype).max)
 
