@@ -84,8 +84,6 @@ class MapBuilder:
             raise ArgumentError(
                 f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
             )
-        from hexmap.lattice.rays import traverse
-
         if not np.isfinite(scan.points).all():
             self.lattice.quantise(scan.points)  # raises, naming the row
         ranges = np.sqrt((scan.points**2).sum(axis=1))
@@ -95,19 +93,12 @@ class MapBuilder:
         if self._clear_no_return > 0.0 and len(scan.no_return):
             reach = min(self._clear_no_return, self._max_range)
             cleared = np.concatenate([cleared, scan.no_return * reach])
-        ends = T_map_scan.apply(scan.points[hit])
-        open_ends = T_map_scan.apply(cleared)
-        origin = T_map_scan.translation
-        additions = []
+        points = scan.points[hit]
+        ends = T_map_scan.apply(np.concatenate([points, cleared]) if len(cleared) else points)
+        # The finest level first: what is in range there and not too much is so on all levels, and if it is not, nothing
+        # has been counted yet.
         for counter in self._counters:
-            lattice = counter.lattice
-            through = traverse(lattice, np.broadcast_to(origin, ends.shape), ends).without_ends()
-            opened = traverse(lattice, np.broadcast_to(origin, open_ends.shape), open_ends).index
-            additions.append((counter, lattice.quantise(ends), through, opened))
-        for counter, hits, through, opened in additions:
-            counter.add(hits, HITS)
-            counter.add(through, PASSES)
-            counter.add(opened, PASSES)
+            counter.fuse(T_map_scan.translation, ends, len(points))
         self.scans += 1
 
     def build(self, frame: str = "map", source: Mapping[str, Any] | None = None) -> Map:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from localisation.matching.local_matcher import ScanMatcher
+from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.match import Match
-from localisation.matching.occupancy import CounterOccupancy, ListOccupancy, Occupancy
+from localisation.matching.occupancy import Occupancy
 from localisation.matching.search_region import SearchWindow
 
-__all__ = ["CounterOccupancy", "ListOccupancy", "Match", "Occupancy", "ScanMatcher", "SearchWindow"]
+__all__ = ["LocalMatcher", "Match", "Occupancy", "SearchWindow"]

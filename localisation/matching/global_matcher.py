@@ -217,7 +217,7 @@ class GlobalMatcher:
         total = int(weights.sum()) * self.pyramid.most
         pose, refined = best.pose, False
         if refine:
-            result = refine_on(self.pyramid, p, best.pose)
+            result = refine_on(self.pyramid.occupancy, p, best.pose)
             pose, refined = result.pose, result.converged
         index = lattice.quantise(best.pose.apply(kept))
         met = self.pyramid.weights(index) > 0

@@ -7,6 +7,7 @@ lattice indices does, on every lattice, because a lattice in its own basis is Z^
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
+from localisation.matching.occupancy import Occupancy
 
 __all__ = ["MOST_WEIGHT", "OccupancyPyramid", "Tables", "cell_reach", "level_windows", "most_motion", "most_spread"]
 
@@ -112,6 +114,7 @@ class OccupancyPyramid:
         from localisation.matching import _pyramid_kernels as kernels
 
         self.lattice: Lattice = cells.lattice
+        self._source = cells
         n = self.lattice.dim
         index = cells.index.astype(np.int64)
         weights = np.asarray(cells.counts)
@@ -215,6 +218,11 @@ class OccupancyPyramid:
         out = np.empty(len(index), np.int64)
         kernels.weights_of(self.tables(0), np.ascontiguousarray(index, dtype=np.int64), out)
         return out
+
+    @cached_property
+    def occupancy(self) -> Occupancy:
+        """The cells that have a weight, for the refinement."""
+        return Occupancy.of_list(self._source)
 
     @property
     def nbytes(self) -> int:
