@@ -218,7 +218,7 @@ class GlobalMatcher:
             pose, refined = result.pose, result.converged
         index = lattice.quantise(best.pose.apply(kept))
         met = self.pyramid.weights(index) > 0
-        known = np.linalg.inv(score_covariance(self.pyramid, kept, weights, best.pose)) if information else None
+        reported = score_covariance(self.pyramid, kept, weights, best.pose, refined=refined) if information else None
         return Match(
             pose=pose,
             searched=best.pose,
@@ -234,7 +234,7 @@ class GlobalMatcher:
             apart=apart if second else None,
             overlap=float(weights[met].sum() / weights.sum()),
             contradicted=contradicted_share(self.pyramid, p, pose) if beams else None,
-            information=known,
+            information=None if reported is None else np.linalg.inv(reported),
         )
 
 
