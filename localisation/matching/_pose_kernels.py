@@ -46,3 +46,30 @@ def surface(tables, index, weights, shifts, out):
                     cell[a] = index[r, p, a] + shifts[k, a]
                 total += np.int64(weights[p]) * _weight(tables, cell)
             out[r, k] = total
+
+
+@njit(cache=True, nogil=True)
+def widened_surface(tables, table, back, index, weights, shifts, out):
+    """Write what :func:`surface` does with every cell's weight the largest of the box around it, in whole units.
+
+    The boxes are those of ``table``, and begin ``back`` indices before the cell along each axis: an upper bound of the
+    scores of all poses that move no point out of its box.
+    """
+    n = shifts.shape[1]
+    first = table * n * tables.length
+    for r in range(index.shape[0]):
+        for k in range(shifts.shape[0]):
+            total = np.int64(0)
+            for p in range(index.shape[1]):
+                at = np.int64(0)
+                inside = True
+                for a in range(n):
+                    # Addresses end where nothing is: cells beyond them have no box with a weight in it.
+                    c = index[r, p, a] + shifts[k, a] - back - tables.low[a]
+                    if c < 0 or c >= tables.length:
+                        inside = False
+                        break
+                    at += tables.address[first + a * tables.length + c]
+                if inside:
+                    total += np.int64(weights[p]) * np.int64(np.uint64(tables.packed[at]) & np.uint64(255))
+            out[r, k] = total * tables.unit

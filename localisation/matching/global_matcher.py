@@ -221,7 +221,9 @@ class GlobalMatcher:
             pose, refined = result.pose, result.converged
         index = lattice.quantise(best.pose.apply(kept))
         met = self.pyramid.weights(index) > 0
-        covariance = score_covariance(self.pyramid, kept, weights, best.pose) if information else None
+        covariance = None
+        if information:
+            covariance = score_covariance(self.pyramid, kept, weights, best.pose, refined=refined)
         return Match(
             pose=pose,
             searched=best.pose,
