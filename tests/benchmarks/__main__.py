@@ -1,6 +1,16 @@
 """``python -m tests.benchmarks``: all of them, one after the other."""
 
-from tests.benchmarks import anyangle, canonical, experiments, localisation, mapping, optimum, planning, replanning, voxels
+from tests.benchmarks import (
+    anyangle,
+    canonical,
+    experiments,
+    localisation,
+    mapping,
+    optimum,
+    planning,
+    replanning,
+    voxels,
+)
 
 voxels.main()
 mapping.main()
