@@ -1,8 +1,8 @@
 """How sure a match is: the covariance that the surface of scores around it tells.
 
 Poses near the best one are weighted with exp((score - best) / T), and the second moments of these weights are the
-covariance (Olson, "Real-time correlative scan matching", 2009, Eq. 8). Neighbouring beams are not independent, so T
-is not one point but a share of the scan's points. Three parts add up:
+covariance (Olson, "Real-time correlative scan matching", 2009, Eq. 8). Neighbouring beams are not independent, so T is
+not one point but a share of the scan's points. Three parts add up:
 
 - the surface of scores cell by cell, close to the pose;
 - a surface of upper bounds, as far as it is flat: what a corridor leaves open, whichever way it runs;
@@ -24,16 +24,15 @@ from localisation.matching.search_region import shifts_in_ball
 
 __all__ = ["TEMPERATURE", "score_covariance"]
 
-# T as a share of the largest score. Fitted, with the floor below, on 1,600 simulated scans of ten buildings on A2 and
-# Z2 at 0.05 m (``python -m tests.benchmarks.localisation calibration`` measures it on ten others): the error of a
-# refined pose, squared and normalised, was 2.9 on average over 3 degrees of freedom, and ellipses of 50, 90 and 95 %
-# held 63, 91 and 95 %. With T = 0.03 it was 1.3, with 0.015 it was 8 on Z2, because second modes along corridors were
-# missed.
+# T as a share of the largest score. Fitted, with the floor below, on simulated scans of ten buildings on A2 and Z2 at
+# 0.05 m (``python -m tests.benchmarks.localisation calibration`` measures it on ten others): errors of refined poses,
+# squared and normalised, were 2.9 and 2.6 on average over 3 degrees of freedom, and ellipses of 50, 90 and 95 % held
+# 62, 91 and 95 % of them. With T = 0.03 it was about 1.2, with 0.015 4.7 and 3.5.
 TEMPERATURE = 0.02
-# The share of a cell's second moment that refining leaves: its error is a quarter of what quantising alone leaves, 4 mm
-# an axis at 0.05 m (with the whole moment, ellipses of 50 % held 98 % of the refined poses). A pose that was not
-# refined has all of it.
-_REFINED = 0.075
+# The share of a cell's second moment that refining leaves: an error of 3.5 mm an axis at 0.05 m, a quarter of what
+# quantising alone leaves (with the whole moment, ellipses of 50 % held 98 % of the refined poses). A pose that was not
+# refined has all of it: then 2.1 over 3 degrees of freedom.
+_REFINED = 0.06
 # Steps along an axis to either side in the plane; in space every pose more is dear.
 _STEPS = {2: 6, 3: 2}
 # What the outermost ring of poses may weigh before the surface is looked at over twice the distance.
@@ -72,8 +71,7 @@ def score_covariance(
     lever = max(float(np.sqrt(np.average(ranges**2, weights=weights))), lattice.resolution)
     T = max(1e-9, temperature * float(weights.sum()) * pyramid.most)
     placed = _Placed(pyramid, points, np.ascontiguousarray(weights), pose, lever)
-    # The floor: a point uniform in its cell, or what refining leaves of that, and the turn that moves the points by
-    # as much.
+    # The floor: a point uniform in its cell, or what refining leaves of that, and the turn that moves the points as far.
     floor = lattice.cell.second_moment * lattice.resolution**2 * (_REFINED if refined else 1.0)
     unit = np.ones(n + placed.turns)
     unit[n:] = lever

@@ -115,7 +115,7 @@ def kept(path: Path, make: Callable[[], Any]) -> Any:
         value = make()
         path.write_bytes(pickle.dumps(value))
         return value
-    return pickle.loads(path.read_bytes())
+    return pickle.loads(path.read_bytes())  # our own file
 
 
 def own_trajectory(log: Path, cache: Path) -> Path:
@@ -218,32 +218,34 @@ def warm_up(matcher: GlobalMatcher, points: NDArray[np.float64], **how: Any) -> 
 
 def find(cache: Path, sizes: Sizes) -> None:
     """Print how fast, how surely and how rightly single scans are found in whole maps (figure 1)."""
-    rows: list[list[object]] = [[
-        "one scan, whole map", "angles", "scans", "certified", "gap 0", "found", "near", "unambiguous", "found of those",
-        "search CPU ms", "wall ms", "all CPU ms", "wall ms", "nodes",
-    ]]  # fmt: skip
+    print(
+        "search: the best pose and its proof alone; all: with runner-up, refinement, beams and information (the default)"
+    )
+    print(
+        f"found: within {RIGHT_CELLS:g} cells and {RIGHT_DEGREES:g} degree of the trajectory; near: 0.5 m and 3 degrees"
+    )
+    print(f"unambiguous: a margin of {sizes.margin:g} or more; ms: median / 95th percentile; limit {sizes.limit:g} s\n")
     built: list[list[object]] = [["pyramid", "cells", "levels", "MB", "build s"]]
     for name, resolution, lattices in (
         ("intel", 0.05, ("A2", "Z2")), ("belgioioso", 0.1, ("A2", "Z2")), ("freiburg-campus", 0.1, ("A2",)),
     ):  # fmt: skip
+        rows: list[list[object]] = [[
+            f"{name}, {resolution:g} m", "angles", "scans", "certified", "gap 0", "found", "near", "unambiguous",
+            "found of those", "search CPU ms", "wall ms", "all CPU ms", "wall ms", "nodes",
+        ]]  # fmt: skip
         for named in lattices:
-            lattice = Lattice.named(named, resolution)
-            world = planar_world(cache, name, lattice)
+            world = planar_world(cache, name, Lattice.named(named, resolution))
             occupied = coincidence(world.map.state().occupied)
             seconds = []
             for _ in range(3):
                 begin = time.process_time()
                 pyramid = OccupancyPyramid(occupied)
                 seconds.append(time.process_time() - begin)
-            label = f"{name} {named} {resolution:g} m"
-            built.append([label, len(occupied), pyramid.levels, pyramid.nbytes / 1e6, sorted(seconds)[1]])
+            built.append([f"{name} {named}", len(occupied), pyramid.levels, pyramid.nbytes / 1e6, sorted(seconds)[1]])
             matcher = GlobalMatcher.of_map(world.map)
             for angles in ("continuous", "stated"):
-                rows.append([label, angles, *_find_row(matcher, world, angles, resolution, sizes)])
-    print("search: the best pose and its proof alone; all: with runner-up, refinement, beams and information, as by default")
-    print(f"found: within {RIGHT_CELLS:g} cells and {RIGHT_DEGREES:g} degree of the trajectory's pose; near: 0.5 m and 3 degrees")
-    print(f"unambiguous: a margin of {sizes.margin:g} or more; ms: median / 95th percentile; limit {sizes.limit:g} s\n")
-    table(rows)
+                rows.append([named, angles, *_find_row(matcher, world, angles, resolution, sizes)])
+        table(rows)
     table(built)
 
 
@@ -290,7 +292,9 @@ def compare(cache: Path, sizes: Sizes) -> None:
             for equal, lattice in (("cell", same_cell), ("covering radius", same_radius)):
                 there = _alone(make(lattice), count, region, sizes.limit)
                 rows.append(_ratio_row(f"{name} to {base}", equal, lattice, there, trials[base]))
-    print("ratios of means with BCa intervals over scans whose search both lattices finished; search alone, continuous angles\n")
+    print(
+        "ratios of means, BCa intervals, over scans whose search both lattices finished; search alone, continuous angles\n"
+    )
     table(rows)
 
 
@@ -331,7 +335,10 @@ def others(cache: Path, sizes: Sizes) -> None:
     warm_up(matcher, world.scans[0][0])
     own = [look(matcher, p, t, time_limit=sizes.limit) for p, t in world.some(sizes.scans)]
     right = np.array([t.metres <= RIGHT_CELLS * lattice.resolution and t.degrees <= RIGHT_DEGREES for t in own])
-    foreign, rows = [], [["scans in the map of intel", "scans", "fraction, median", "most", "contradicted, median", "CPU ms"]]
+    foreign, rows = (
+        [],
+        [["scans in the map of intel", "scans", "fraction, median", "most", "contradicted, median", "CPU ms"]],
+    )
     for name in ("belgioioso", "aces", "mit-csail"):
         log = open_log(data_folder() / "laser2d" / f"{name}.clf.gz")
         scans = [np.array(e.points) for e in log if isinstance(e, Scan) and len(e.points) >= 20]
@@ -344,7 +351,9 @@ def others(cache: Path, sizes: Sizes) -> None:
     answers, strangers = _features(own), _features(foreign)
     # Chosen on every second scan of the others, counted on the rest.
     chosen, rest = strangers[::2], strangers[1::2]
-    out: list[list[object]] = [["accepted where", "thresholds", "recall", "right of accepted", "false accepts, of", "unseen, of"]]
+    out: list[list[object]] = [
+        ["accepted where", "thresholds", "recall", "right of accepted", "false accepts, of", "unseen, of"]
+    ]
     for label, used in (
         ("fraction", (0,)), ("contradicted", (1,)), ("margin", (2,)), ("fraction, contradicted", (0, 1)),
         ("fraction, margin", (0, 2)), ("fraction, contradicted, margin", (0, 1, 2)),
@@ -379,9 +388,7 @@ def _accept(features: NDArray[np.float64], limits: NDArray[np.float64]) -> NDArr
     return np.asarray((features >= limits).all(axis=1))
 
 
-def _thresholds(
-    good: NDArray[np.float64], bad: NDArray[np.float64], used: tuple[int, ...]
-) -> NDArray[np.float64]:
+def _thresholds(good: NDArray[np.float64], bad: NDArray[np.float64], used: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the limits on the features in ``used`` that accept most of ``good`` and none of ``bad``."""
     best, most = np.full(3, np.inf), -1
     grids = [np.unique(np.quantile(good[:, k], np.linspace(0.0, 1.0, 26))) for k in used[1:]]
@@ -425,8 +432,12 @@ def _corridor(rng: np.random.Generator) -> Building:
 def calibration(cache: Path, sizes: Sizes) -> None:
     """Print errors against the covariance, over ten simulated buildings (figure 4)."""
     kinds = ("office", "office", "office", "castle", "castle", "room", "room", "corridor", "corridor", "corridor")
-    out: list[list[object]] = [["refined poses", "scans", "error mm", "NES, 3", "50 %", "90 %", "95 %", "NES, 2", "50 %", "90 %", "95 %"]]
-    axes: list[list[object]] = [["where one sigma is 3 times the other", "scans", "sigma mm", "NES, 1", "50 %", "90 %", "95 %"]]
+    out: list[list[object]] = [
+        ["refined poses", "scans", "error mm", "NES, 3", "50 %", "90 %", "95 %", "NES, 2", "50 %", "90 %", "95 %"]
+    ]
+    axes: list[list[object]] = [
+        ["where one sigma is 3 times the other", "scans", "sigma mm", "NES, 1", "50 %", "90 %", "95 %"]
+    ]
     for name in ("A2", "Z2"):
         found = [(kind, *row) for k, kind in enumerate(kinds) for row in _errors(name, kind, 11 + k, sizes.simulated)]
         for kind in ("office", "castle", "room", "corridor", "all"):
@@ -460,7 +471,7 @@ def _coverage(nes: NDArray[np.float64], freedom: int) -> list[object]:
 
 
 def _errors(name: str, kind: str, seed: int, count: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return errors (3,) and reported covariances (3, 3) of scans of one run in the map of another, at its true poses."""
+    """Return errors (3,) and reported covariances (3, 3): scans of one run in a map of another at its true poses."""
     building = simulated_building(kind, seed)
     laser = Laser(beams=180, rate=2.0, max_range=10.0 if kind == "corridor" else 30.0)
     builder = MapBuilder(Lattice.named(name, 0.05), levels=1)
@@ -474,7 +485,9 @@ def _errors(name: str, kind: str, seed: int, count: int) -> list[tuple[NDArray[n
     for k in np.linspace(3, len(events) - 1, count).astype(int):
         true = events[k].T_map_robot
         centre = true.translation + rng.uniform(-0.1, 0.1, 2)
-        region = SearchRegion(centre - 0.5, centre + 0.5, yaw=true.theta + rng.uniform(-0.05, 0.05), yaw_range=math.radians(20.0))
+        region = SearchRegion(
+            centre - 0.5, centre + 0.5, yaw=true.theta + rng.uniform(-0.05, 0.05), yaw_range=math.radians(20.0)
+        )
         event = events[k].event
         assert isinstance(event, Scan)
         match = matcher.match(event.points, region, runner_up=None, beams=False)
@@ -495,8 +508,8 @@ def tilted() -> SearchRegion:
 def space(cache: Path, sizes: Sizes) -> None:
     """Print how LiDAR scans are found in the hall (figure 6)."""
     rows: list[list[object]] = [[
-        "hall, 0.5 m", "cells", "points", "scans", "certified", "gap, median", "most", "in 0.5 m, 3 deg", "error m", "deg",
-        "search CPU ms", "all CPU ms", "nodes", "MB", "build s",
+        "hall, 0.5 m", "cells", "points", "scans", "certified", "gap, median", "most", "in 0.5 m, 3 deg", "error m",
+        "deg", "search CPU ms", "all CPU ms", "nodes", "MB", "build s",
     ]]  # fmt: skip
     for name in ("Z3", "D3", "D3*"):
         world = hall_world(cache, Lattice.named(name, 0.5))
@@ -531,7 +544,15 @@ def _digests(cache: Path, numbers: Sequence[int]) -> list[str]:
         found: list[object] = [None]
         if m is not None:
             second = m.runner_up
-            found = [m.pose.matrix.tobytes(), m.searched.matrix.tobytes(), m.score, m.bound, m.nodes, m.overlap, m.contradicted]
+            found = [
+                m.pose.matrix.tobytes(),
+                m.searched.matrix.tobytes(),
+                m.score,
+                m.bound,
+                m.nodes,
+                m.overlap,
+                m.contradicted,
+            ]
             found += [None if m.information is None else m.information.tobytes(), m.runner_up_bound]
             found += [second and second.pose.matrix.tobytes(), second and second.score]
         out.append(repr(found))
@@ -567,15 +588,17 @@ FIGURES: dict[str, Callable[[Path, Sizes], None]] = {
 
 def main(arguments: list[str] | None = None) -> None:
     """Print the figures asked for."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.localisation", description="Figures of localisation.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks.localisation", description="Figures of localisation."
+    )
     parser.add_argument("figures", nargs="*", help=f"{', '.join(FIGURES)}; all without a name")
     parser.add_argument("--cache", type=Path, help="folder for trajectory and maps; none keeps nothing")
-    parser.add_argument("--scans", type=int, default=60, help="of each map that are looked for")
+    parser.add_argument("--scans", type=int, default=40, help="of each map that are looked for")
     parser.add_argument("--foreign", type=int, default=60, help="scans of each other building")
-    parser.add_argument("--space", type=int, default=8, help="scans of the hall, a lattice")
+    parser.add_argument("--space", type=int, default=6, help="scans of the hall, a lattice")
     parser.add_argument("--simulated", type=int, default=40, help="scans of each simulated building")
     parser.add_argument("--margin", type=float, default=0.05, help="below it a match is ambiguous")
-    parser.add_argument("--limit", type=float, default=5.0, help="seconds after which a search gives up")
+    parser.add_argument("--limit", type=float, default=2.0, help="seconds after which a search gives up")
     chosen = parser.parse_args(arguments)
     figures = chosen.figures or list(FIGURES)
     for figure in figures:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -77,7 +78,7 @@ def square_room(lattice: Lattice) -> tuple[OccupancyPyramid, NDArray]:
     along = np.linspace(0.0, 1.0, 2000)[:, None]
     corners = [(-4, -3), (4, -3), (4, 3), (-4, 3), (-4, -3), (1, -3), (1, 3)]
     walls = np.concatenate(
-        [np.array(a) * (1 - along) + np.array(b) * along for a, b in zip(corners[:-1], corners[1:], strict=True)]
+        [np.array(a) * (1 - along) + np.array(b) * along for a, b in itertools.pairwise(corners)]
     ).astype(float)
     # Two cells thick, as walls are that were seen many times.
     walls = np.concatenate([walls, walls * 1.012])
