@@ -100,8 +100,9 @@ class LocalMatcher:
         *,
         fine: Occupancy | None = None,
         window: SearchWindow | None = None,
+        above: int = 0,
     ) -> Match | None:
-        """Return the best pose of the window around ``predicted`` (T_map_scan), or None if nothing coincides.
+        """Return the best pose of the window around ``predicted`` (T_map_scan), or None if none scores above.
 
         Args:
             points: (P, n) the scan, in the scan's frame, metres.
@@ -109,6 +110,7 @@ class LocalMatcher:
             world: the occupied cells to search in.
             fine: the occupied cells to refine on, a finer level of the same map; ``world`` if not given.
             window: another window than the matcher's own.
+            above: only poses that score more than this are of interest; the higher, the faster.
 
         Equal scores go to the pose nearest to the prediction: the least squared shift plus the
         squared way that the turn moves the farthest point; then to the lower rotation and shift.
@@ -129,7 +131,7 @@ class LocalMatcher:
             lattice.quantise(p)  # raises, naming the row
         window = window or self.window
         turns = self.rotations(p, lattice, window.radians)
-        found = self._search(p, turns, predicted, world, window)
+        found = self._search(p, turns, predicted, world, window, above)
         if found is None:
             return None
         searched, score, cells, blocks = found
@@ -143,7 +145,7 @@ class LocalMatcher:
         )  # fmt: skip
 
     def _search(
-        self, p: FloatArray, turns: FloatArray, predicted: Pose, world: Occupancy, window: SearchWindow
+        self, p: FloatArray, turns: FloatArray, predicted: Pose, world: Occupancy, window: SearchWindow, above: int
     ) -> tuple[Pose, int, int, int] | None:
         """Score every rotation and shift of the window; return the best pose, its score and cells, and the work."""
         from localisation.matching import _kernels as kernels
@@ -157,8 +159,8 @@ class LocalMatcher:
         order = np.argsort(squared, kind="stable")
         best = np.zeros(6, np.int64)
         taken = kernels.search(
-            world.tiles, p, predicted.translation, kernels.Turns(rotations, costs, order),
-            _blocks(lattice, window.metres), lattice.quantiser_tables, best,
+            world.tiles, world.bounds, world.log_step, p, predicted.translation, kernels.Turns(rotations, costs, order),
+            _blocks(lattice, window.metres), lattice.quantiser_tables, above, best,
         )  # fmt: skip
         if best[4] < 0:
             for R in rotations:
@@ -173,7 +175,7 @@ class LocalMatcher:
 
 @lru_cache(maxsize=64)
 def _blocks(lattice: Lattice, metres: float) -> Any:
-    """Return the shifts of a window in blocks of 64, those around the prediction first."""
+    """Return the shifts of a window in blocks of 64, and these in groups of 64."""
     from localisation.matching import _kernels as kernels
 
     side = BOX_SIDE[lattice.dim]
@@ -194,8 +196,13 @@ def _blocks(lattice: Lattice, metres: float) -> Any:
     np.bitwise_or.at(masks, number, np.uint64(1) << bit.astype(np.uint64))
     costs = np.full((len(which), len(box_offsets(lattice.dim))), np.inf)
     costs[number, bit] = squared
-    order = np.argsort(costs.min(axis=1), kind="stable")
-    return kernels.ShiftBlocks(np.ascontiguousarray(low + which[order] * side), masks[order], costs[order])
+    # Groups of blocks that lie in a larger box of as many blocks as a block has shifts.
+    groups, group = np.unique(which // side, axis=0, return_inverse=True)
+    members = np.full((len(groups), masks[:1].itemsize * 8), -1)
+    members[group.ravel(), np.ravel_multi_index(tuple((which % side).T), (side,) * lattice.dim)] = np.arange(len(which))
+    return kernels.ShiftBlocks(
+        np.ascontiguousarray(low + which * side), np.ascontiguousarray(low + groups * side * side), members, masks, costs
+    )
 
 
 def _farthest(points: FloatArray) -> float:

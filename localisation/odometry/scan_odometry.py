@@ -109,9 +109,9 @@ class ScanOdometry:
             window = SearchWindow(
                 self.settings.search_metres * factor, min(self.settings.search_radians * factor, math.pi)
             )
-            found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
-            if found is not None and (best is None or found.score > CLEARLY * best.score):
-                best = found
+            above = 0 if best is None else math.floor(CLEARLY * best.score)
+            found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window, above=above)
+            best = found or best
             if best is not None and best.fraction >= ENOUGH:
                 break
         return best
