@@ -14,9 +14,14 @@ from hexmap.io.read_file import read_file
 
 __all__ = ["open_grid"]
 
-_KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map or an OctoMap .bt"
+_KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map, an OctoMap .bt or a BeeSoft .dat (Wean Hall)"
 _PICTURES = (file_kinds.PNG, file_kinds.PGM, file_kinds.BMP)
-_KINDS = {file_kinds.MOVINGAI: "movingai", file_kinds.WARFRAME: "warframe", file_kinds.OCTOMAP: "octomap"}
+_KINDS = {
+    file_kinds.MOVINGAI: "movingai",
+    file_kinds.WARFRAME: "warframe",
+    file_kinds.OCTOMAP: "octomap",
+    file_kinds.WEAN_MAP: "wean",
+}
 
 
 def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> GridMap:
@@ -24,7 +29,7 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
 
     Args:
         path: a ``.map`` or ``.3dmap`` (plain or gzip), the ``.yaml`` of a ROS map_server map with its
-            image beside it, or a ``.bt``.
+            image beside it, a ``.bt``, or the map of Wean Hall (``.dat``, plain or gzip).
         cell: metres an edge of a cell, for MovingAI and Warframe, which name none; 1 where none is given.
 
     Returns:
@@ -41,7 +46,7 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
         raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {cell!r}")
     data = read_file(path, MAX_BYTES)
     kind = _kind(path, data)
-    if kind in ("ros", "octomap") and cell is not None:
+    if kind in ("ros", "octomap", "wean") and cell is not None:
         raise ArgumentError(f"{path}: the file says how large its cells are; a cell of {cell:g} m cannot change that")
     # Each format's module is imported when it is needed.
     if kind == "movingai":
@@ -56,6 +61,10 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
         from hexmap.io.grids import octomap
 
         return octomap.parse(path, data)
+    if kind == "wean":
+        from hexmap.io.grids import wean
+
+        return wean.parse(path, data)
     from hexmap.io.grids import ros
 
     return ros.parse(path, data)

@@ -13,7 +13,7 @@ from hexmap.io.read_file import GzipError, cannot_read, inflated
 
 __all__ = ["open_log"]
 
-_KNOWN = "a CARMEN log (plain or gzip), a ROS 1 bag, a ROS 2 bag or an MCAP file"
+_KNOWN = "a CARMEN or Wean Hall log (plain or gzip), a ROS 1 bag, a ROS 2 bag or an MCAP file"
 _BAGS = {
     file_kinds.ROSBAG1: "rosbag1",
     file_kinds.MCAP: "mcap",
@@ -25,8 +25,8 @@ def open_log(path: str | os.PathLike[str], settings: LogSettings | None = None) 
     """Open a log; its format is found by its content, not by its name.
 
     Args:
-        path: a CARMEN log (plain or gzip), a ROS 1 bag, a ROS 2 bag (folder or its single file)
-            or an MCAP file.
+        path: a CARMEN or Wean Hall log (plain or gzip), a ROS 1 bag, a ROS 2 bag (folder or its single
+            file) or an MCAP file.
         settings: how to read it.
 
     Returns:
@@ -68,6 +68,10 @@ def open_log(path: str | os.PathLike[str], settings: LogSettings | None = None) 
         raise LogError(f"{path}: this is {foreign.name}{advice}; a log is {_KNOWN}")
     if file_kinds.control_byte(text[:4096]) is not None:
         raise LogError(f"{path}: the file is binary and of no known kind; a log is {_KNOWN}")
+    if file_kinds.WEAN_LOG.begins(text):
+        from hexmap.io.logs.wean import WeanLog
+
+        return WeanLog(path, settings, compressed)
     from hexmap.io.logs.carmen import CarmenLog
 
     return CarmenLog(path, settings, compressed)
