@@ -37,6 +37,7 @@ def _kind(name: str, mark: bytes, advice: str = "") -> FileKind:
 ROSBAG1 = _kind("a ROS 1 bag", rb"#ROSBAG V")
 MCAP = _kind("an MCAP file", rb"\x89MCAP0\r\n")
 SQLITE = _kind("a SQLite file", rb"SQLite format 3\x00")
+CARMEN_LOG = _kind("a CARMEN log", rb"(?:[^\n]*\n)*?(?:ODOM|[FR]LASER|ROBOTLASER[12])[ \t]")
 # Its first reading comes before any reading of a CARMEN log; other lines may stand before it.
 WEAN_LOG = _kind(
     "a log of Wean Hall", rb"(?:(?!(?:ODOM|[FR]LASER|ROBOTLASER[12])[ \t])[^\n]*\n)*?[OL][ \t]+[-+.]?[0-9]"

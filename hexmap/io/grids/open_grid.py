@@ -10,9 +10,9 @@ from hexmap.base.errors import ArgumentError, FormatError
 from hexmap.base.text import quoted
 from hexmap.io import file_kinds
 from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
-from hexmap.io.read_file import read_file
+from hexmap.io.read_file import beginning, read_file
 
-__all__ = ["open_grid"]
+__all__ = ["is_grid", "open_grid"]
 
 _KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map, an OctoMap .bt or a BeeSoft .dat (Wean Hall)"
 _PICTURES = (file_kinds.PNG, file_kinds.PGM, file_kinds.BMP)
@@ -70,6 +70,19 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
     return ros.parse(path, data)
 
 
+def is_grid(path: Path) -> bool:
+    """Tell whether a file is a map that :func:`open_grid` reads, by how it begins and by the name of a ROS map's."""
+    if _suffix(path) in (".yaml", ".yml"):
+        return path.is_file()
+    return file_kinds.find_kind(beginning(path), _KINDS) is not None
+
+
+def _suffix(path: Path) -> str:
+    """Return the last suffix, that of gzip left out."""
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
+    return suffixes[-1] if suffixes else ""
+
+
 def _kind(path: Path, data: bytes) -> str:
     """Return what a file is, by how it begins, then by its suffix."""
     if file_kinds.find_kind(data, _PICTURES) is not None:
@@ -85,8 +98,7 @@ def _kind(path: Path, data: bytes) -> str:
     if found is not None:
         return _KINDS[found]
     names = {".map": "movingai", ".3dmap": "warframe", ".yaml": "ros", ".yml": "ros", ".bt": "octomap"}
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
-    kind = names.get(suffixes[-1], "") if suffixes else ""
+    kind = names.get(_suffix(path), "")
     if not kind:
         raise FormatError(f"{path}: of no known kind (it begins with {quoted(data[:40])}); a map is {_KNOWN}")
     return kind

@@ -1,7 +1,7 @@
 """The map of Wean Hall, CMU, and others that BeeSoft wrote (``.dat``).
 
-Header lines such as ``robot_specifications->resolution 10``, in centimetres, then ``global_map[0]: Y X`` and X lines of Y
-numbers each: -1 where nothing is known, else 0 to 1.
+Header lines such as ``robot_specifications->resolution 10``, in centimetres, then ``global_map[0]: Y X`` and X lines
+of Y numbers each: -1 where nothing is known, else 0 to 1.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ __all__ = ["parse"]
 _PREFIX = b"robot_specifications->"
 _TITLE = b"global_map[0]:"
 _METRE = 100.0  # in the file's units
-# Probabilities of a wall: map_server's defaults of free_thresh and occupied_thresh.
-_FREE, _OCCUPIED = 0.196, 0.65
+# Of the numbers: one minus map_server's defaults of free_thresh and occupied_thresh, 0.196 and 0.65.
+_FREE, _OCCUPIED = 0.804, 0.35
 
 
 def parse(path: Path, data: bytes) -> GridMap:
@@ -51,7 +51,8 @@ def parse(path: Path, data: bytes) -> GridMap:
     resolution = _resolution(path, lines[:head])
     sizes = [whole_number(word) for word in lines[head][len(_TITLE) :].split()]
     if len(sizes) != 2 or None in sizes:
-        raise FormatError(f"{path}, line {head + 1}: two integers belong after global_map[0]:, not {quoted(lines[head])}")
+        found = quoted(lines[head])
+        raise FormatError(f"{path}, line {head + 1}: two integers belong after global_map[0]:, not {found}")
     height, width = (size for size in sizes if size is not None)
     if width == 0 or height == 0:
         raise FormatError(f"{path}, line {head + 1}: the map is empty: {width} x {height} cells")
@@ -79,7 +80,7 @@ def _resolution(path: Path, lines: list[bytes]) -> float:
                 value = math.nan
             if not (math.isfinite(value) and value > 0.0):
                 found = shown(b" ".join(words[1:]))
-                raise FormatError(f"{path}, line {k + 1}: the resolution must be a positive number of cm, not '{found}'")
+                raise FormatError(f"{path}, line {k + 1}: the resolution must be a positive number, not '{found}'")
             return value / _METRE
     raise FormatError(f"{path}: no line 'robot_specifications->resolution' before the map; it says how large a cell is")
 
@@ -98,10 +99,9 @@ def _states(path: Path, number: int, line: bytes, count: int) -> NDArray[np.uint
     if wrong.any():
         at = int(np.argmax(wrong))
         raise FormatError(f"{path}, line {number}: number {at} is '{shown(words[at])}'; a cell is -1, or 0 to 1")
-    p = 1.0 - values
     out = np.full(count, CellState.UNKNOWN, np.uint8)
-    out[known & (p < _FREE)] = CellState.FREE
-    out[known & (p > _OCCUPIED)] = CellState.OCCUPIED
+    out[known & (values > _FREE)] = CellState.FREE
+    out[known & (values < _OCCUPIED)] = CellState.OCCUPIED
     return out
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from hexmap.base.errors import FileAccessError, LogError
 from hexmap.io import file_kinds
 from hexmap.io.logs.log import Log, LogSettings
-from hexmap.io.read_file import GzipError, cannot_read, inflated
+from hexmap.io.read_file import GzipError, beginning, cannot_read, inflated
 
-__all__ = ["open_log"]
+__all__ = ["is_log", "open_log"]
 
 _KNOWN = "a CARMEN or Wean Hall log (plain or gzip), a ROS 1 bag, a ROS 2 bag or an MCAP file"
 _BAGS = {
@@ -75,6 +75,13 @@ def open_log(path: str | os.PathLike[str], settings: LogSettings | None = None) 
     from hexmap.io.logs.carmen import CarmenLog
 
     return CarmenLog(path, settings, compressed)
+
+
+def is_log(path: Path) -> bool:
+    """Tell whether a file or folder looks like a log that :func:`open_log` reads, by how it begins."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return file_kinds.find_kind(beginning(path), (*_BAGS, file_kinds.WEAN_LOG, file_kinds.CARMEN_LOG)) is not None
 
 
 def _beginning(path: Path, head: bytes) -> bytes:
