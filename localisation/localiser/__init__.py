@@ -7,7 +7,8 @@ belongs to a map, ``fusion`` how a match and a prediction become one pose.
 from __future__ import annotations
 
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
+from localisation.localiser.localise_log import Track, localise_log
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
 
-__all__ = ["Estimate", "Hypothesis", "Localiser", "LocaliserSettings", "TrackState"]
+__all__ = ["Estimate", "Hypothesis", "Localiser", "LocaliserSettings", "Track", "TrackState", "localise_log"]

@@ -47,7 +47,7 @@ class LocaliserSettings:
     search_radians: float = math.radians(15.0)
     time_limit: float | None = None
     hypotheses: int = 8
-    part: float = 0.8
+    part: float = 0.9
     apart: tuple[float, float] = (0.5, math.radians(10.0))
     odds: float = 1000.0
     scans: int = 3

@@ -61,7 +61,7 @@ def find_hypotheses(
     count: int = 8,
     *,
     least: float = 0.0,
-    part: float = 0.8,
+    part: float = 0.9,
     apart: tuple[float, float] = (0.5, math.radians(10.0)),
     time_limit: float | None = None,
 ) -> Hypotheses:
