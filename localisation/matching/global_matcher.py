@@ -234,7 +234,7 @@ class GlobalMatcher:
             apart=apart if second else None,
             overlap=float(weights[met].sum() / weights.sum()),
             contradicted=contradicted_share(self.pyramid, p, pose) if beams else None,
-            information=None if reported is None else np.linalg.inv(reported),
+            information=None if reported is None else np.asarray(np.linalg.inv(reported), np.float64),
         )
 
 
