@@ -601,7 +601,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--space", type=int, default=6, help="scans of the hall, a lattice")
     parser.add_argument("--simulated", type=int, default=40, help="scans of each simulated building")
     parser.add_argument("--margin", type=float, default=0.05, help="below it a match is ambiguous")
-    parser.add_argument("--limit", type=float, default=2.0, help="seconds after which a search gives up")
+    parser.add_argument("--limit", type=float, default=4.0, help="seconds after which a search gives up")
     chosen = parser.parse_args(arguments)
     figures = chosen.figures or list(FIGURES)
     for figure in figures:
