@@ -111,7 +111,8 @@ def test_it_is_symmetric_and_positive_definite(case: Case) -> None:
 def test_a_pose_that_was_not_refined_is_less_sure_by_what_refining_takes_away(case: Case) -> None:
     walls = box_walls(np.array([3.0, 2.0]), None, 0.02)
     lattice = scaled(case, 0.05)
-    refined, searched = (covariance_in(walls, 9.0, lattice, np.eye(2), 60 if JIT else 10, refined=r) for r in (True, False))
+    count = 60 if JIT else 10
+    refined, searched = (covariance_in(walls, 9.0, lattice, np.eye(2), count, refined=r) for r in (True, False))
     more = searched - refined
     assert more[0, 0] == pytest.approx(more[1, 1]) and 0.0 < more[0, 0] < lattice.cell.second_moment * 0.05**2
     np.testing.assert_allclose(more, np.diag(np.diag(more)), atol=1e-15)
