@@ -71,7 +71,7 @@ def score_covariance(
     lever = max(float(np.sqrt(np.average(ranges**2, weights=weights))), lattice.resolution)
     T = max(1e-9, temperature * float(weights.sum()) * pyramid.most)
     placed = _Placed(pyramid, points, np.ascontiguousarray(weights), pose, lever)
-    # The floor: a point uniform in its cell, or what refining leaves of that, and the turn that moves the points as far.
+    # The floor: a point uniform in its cell, or what refining leaves of that, and the turn that moves points as far.
     floor = lattice.cell.second_moment * lattice.resolution**2 * (_REFINED if refined else 1.0)
     unit = np.ones(n + placed.turns)
     unit[n:] = lever

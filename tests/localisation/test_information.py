@@ -55,11 +55,11 @@ def covariance_in(walls: NDArray, seen: float, lattice: Lattice, turn: NDArray, 
 
 
 @pytest.mark.parametrize("case", PLANAR, ids=str)
-@pytest.mark.parametrize("degrees", [0.0, 5.0, 17.0, 30.0, 45.0, 80.0])
+@pytest.mark.parametrize("degrees", [0.0, 5.0, 17.0, 30.0, 45.0, 80.0] if JIT else [17.0])
 def test_it_is_long_along_a_corridor_and_short_across(case: Case, degrees: float) -> None:
     turn = Pose.planar(0.0, 0.0, math.radians(degrees)).rotation
     walls = box_walls(np.array([20.0, 1.2]), 0, 0.01)
-    C = covariance_in(walls, 6.0, scaled(case, 0.05), turn, 180 if JIT else 60)
+    C = covariance_in(walls, 6.0, scaled(case, 0.05), turn, 180 if JIT else 30)
     size, axes = np.linalg.eigh(C[:2, :2])
     assert math.sqrt(size[1]) > 0.5 and math.sqrt(size[0]) < 0.05  # metres
     assert abs(axes[:, 1] @ turn[:, 0]) > math.cos(math.radians(5.0))
@@ -69,7 +69,7 @@ def test_it_is_long_along_a_corridor_and_short_across(case: Case, degrees: float
 @pytest.mark.parametrize("case", PLANAR, ids=str)
 def test_it_is_short_both_ways_in_a_room(case: Case) -> None:
     walls = box_walls(np.array([3.0, 2.0]), None, 0.01)
-    C = covariance_in(walls, 9.0, scaled(case, 0.05), np.eye(2), 180 if JIT else 60)
+    C = covariance_in(walls, 9.0, scaled(case, 0.05), np.eye(2), 180 if JIT else 30)
     size = np.sqrt(np.linalg.eigvalsh(C[:2, :2]))
     assert size[1] < 0.05 and size[1] < 4.0 * size[0]
 
@@ -111,7 +111,8 @@ def test_it_is_symmetric_and_positive_definite(case: Case) -> None:
 def test_a_pose_that_was_not_refined_is_less_sure_by_what_refining_takes_away(case: Case) -> None:
     walls = box_walls(np.array([3.0, 2.0]), None, 0.02)
     lattice = scaled(case, 0.05)
-    refined, searched = (covariance_in(walls, 9.0, lattice, np.eye(2), 60, refined=r) for r in (True, False))
+    count = 60 if JIT else 10
+    refined, searched = (covariance_in(walls, 9.0, lattice, np.eye(2), count, refined=r) for r in (True, False))
     more = searched - refined
     assert more[0, 0] == pytest.approx(more[1, 1]) and 0.0 < more[0, 0] < lattice.cell.second_moment * 0.05**2
     np.testing.assert_allclose(more, np.diag(np.diag(more)), atol=1e-15)
