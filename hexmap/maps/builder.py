@@ -101,8 +101,22 @@ class MapBuilder:
             counter.fuse(T_map_scan.translation, ends, len(points))
         self.scans += 1
 
-    def build(self, frame: str = "map", source: Mapping[str, Any] | None = None) -> Map:
-        """Return the map of all scans fused so far; ``source`` says where they came from."""
-        levels = [Level(c.to_list(HITS), c.to_list(PASSES)) for c in self._counters]
+    def build(self, frame: str = "map", source: Mapping[str, Any] | None = None, *, finish: bool = False) -> Map:
+        """Return the map of all scans fused so far.
+
+        Args:
+            frame: name of the frame of the coordinates.
+            source: where the scans came from.
+            finish: whether that was all: then the builder is empty afterwards, and its memory is given back level by
+                level, so that a large map is not in it twice.
+        """
+        levels = []
+        for k, counter in enumerate(self._counters):
+            levels.append(Level(counter.to_list(HITS), counter.to_list(PASSES)))
+            if finish:
+                self._counters[k] = CellCounter(counter.lattice)
+                del counter
+        if finish:
+            self.scans = 0
         provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
         return Map(levels, frame, provenance)

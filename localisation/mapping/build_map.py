@@ -71,16 +71,18 @@ def build_map(
         raise LogError(f"{log.path}: there is no laser reading in it")
     unusable.check(builder.scans)
     recorder.add_readings(odometry.finish())
+    scans, jumps = builder.scans, odometry.jumps
+    del odometry, registered
     return MappingResult(
-        map=builder.build(source=provenance(log, settings, "scan matching")),
-        scans=builder.scans,
+        map=builder.build(source=provenance(log, settings, "scan matching"), finish=True),
+        scans=scans,
         odometry=log.odometry,
         matched=matched,
         unmatched=unmatched,
         skipped=0,
         mean_part=fractions / matched if matched else 0.0,
         metres=recorder.metres,
-        warnings=[*log.warnings, *unusable.warnings, *_jumps(log, odometry.jumps)],
+        warnings=[*log.warnings, *unusable.warnings, *_jumps(log, jumps)],
     )
 
 

@@ -130,8 +130,10 @@ def occupied(tiles, index, out):
 
 
 @njit(cache=True, nogil=True)
-def change(tiles, index, states, begin, used):
+def change(tiles, index, states, risen, begin, used):
     """Make each of the cells ``index[begin:]`` (M, n) occupied or not, as ``states`` (M,) say.
+
+    ``risen`` (M,) receives 1 for those that were not occupied before and are now; it holds zeros.
 
     Returns:
         The row at which there was no room for tiles, and the number of tiles in use; the caller makes room and calls
@@ -151,6 +153,7 @@ def change(tiles, index, states, begin, used):
         # The boxes that hold a cell begin in at most 2^n tiles. Nothing of this cell is written yet.
         if used + (1 << n) > room:
             return m, used
+        risen[m] = states[m]
         for i in range(side):
             for j in range(side):
                 for k in range(depth):
@@ -167,8 +170,8 @@ def change(tiles, index, states, begin, used):
 
 
 @njit(cache=True, nogil=True)
-def raise_bounds(wide, index, states, step, begin, used):
-    """Set the bits of all boxes that hold one of the cells ``index[begin:]`` (M, n) that are occupied.
+def raise_bounds(wide, index, risen, step, begin, used):
+    """Set the bits of all boxes that hold one of the cells ``index[begin:]`` (M, n) that ``risen`` (M,) marks.
 
     The word at ``step * e`` stands for all cells from there to ``step - 1`` further along each axis; its bits are the boxes
     that begin at multiples of a box's side from any of these. A bit is never cleared: that loosens bounds, no more.
@@ -187,7 +190,7 @@ def raise_bounds(wide, index, states, step, begin, used):
     masks = np.empty((3, reach // step + 2), np.uint64)
     masks[2, 0] = ~ZERO
     for m in range(begin, index.shape[0]):
-        if states[m] == 0:
+        if risen[m] == 0:
             continue
         if used + most > room:
             return m, used

@@ -198,7 +198,7 @@ def _blocks(lattice: Lattice, metres: float) -> Any:
     costs[number, bit] = squared
     # Groups of blocks that lie in a larger box of as many blocks as a block has shifts.
     groups, group = np.unique(which // side, axis=0, return_inverse=True)
-    members = np.full((len(groups), masks[:1].itemsize * 8), -1)
+    members = np.full((len(groups), costs.shape[1]), -1)
     members[group.ravel(), np.ravel_multi_index(tuple((which % side).T), (side,) * lattice.dim)] = np.arange(len(which))
     return kernels.ShiftBlocks(
         np.ascontiguousarray(low + which * side), np.ascontiguousarray(low + groups * side * side), members, masks, costs

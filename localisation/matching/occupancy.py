@@ -77,20 +77,21 @@ class Occupancy:
 
         cells = np.ascontiguousarray(index, dtype=np.int64)
         states = np.ascontiguousarray(occupied, dtype=np.bool_)
+        risen = np.zeros(len(cells), np.bool_)
         row = 0
         while row < len(cells):
-            row, self._near.used = kernels.change(self._near.arrays, cells, states, row, self._near.used)
+            row, self._near.used = kernels.change(self._near.arrays, cells, states, risen, row, self._near.used)
             if row < len(cells):
                 self._near.make_room()
         if self._wide is not None:
-            self._raise_bounds(self._wide, cells, states)
+            self._raise_bounds(self._wide, cells, risen)
 
-    def _raise_bounds(self, wide: _Tiles, cells: IntArray, states: NDArray[np.bool_]) -> None:
+    def _raise_bounds(self, wide: _Tiles, cells: IntArray, risen: NDArray[np.bool_]) -> None:
         from localisation.matching import _kernels as kernels
 
         row = 0
         while row < len(cells):
-            row, wide.used = kernels.raise_bounds(wide.arrays, cells, states, 1 << self.log_step, row, wide.used)
+            row, wide.used = kernels.raise_bounds(wide.arrays, cells, risen, 1 << self.log_step, row, wide.used)
             if row < len(cells):
                 wide.make_room()
 
