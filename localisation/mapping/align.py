@@ -40,7 +40,8 @@ class AlignSettings:
     Attributes:
         most_cells: the whole of the maps is searched on the finest cells that leave the smaller one at most so many,
             at least four times as large as those of the finest level: maps of one place that were built apart bend.
-        apart: metres and radians within which two poses are the same alignment.
+        apart_cells: poses are the same alignment where the map's middle is nearer than so many searched cells, and the
+            parts half as far from it as the farthest are turned by no more than that.
         min_margin: part of its score, 0 to 1, by which the best pose must outscore all others.
         min_overlap: part of the smaller map's cells, 0 to 1, that must meet a wall of the other.
         min_cells: how many cells must meet a wall at least.
@@ -52,7 +53,7 @@ class AlignSettings:
     """
 
     most_cells: int = 2000
-    apart: tuple[float, float] = (1.0, math.radians(10.0))
+    apart_cells: float = 1.75
     min_margin: float = 0.1
     min_overlap: float = 0.1
     min_cells: int = 40
@@ -184,7 +185,7 @@ def merge_aligned(a: Map, b: Map, alignment: Alignment) -> Map:
         if isinstance(before, dict):
             t, q = before["translation"], before["quaternion"]
             flat = pose.dim == 2
-            pose = pose @ (Pose.planar(*t, 2.0 * math.atan2(q[2], q[3])) if flat else Pose.from_quaternion(t, q))
+            pose = pose @ (Pose.planar(t[0], t[1], 2.0 * math.atan2(q[2], q[3])) if flat else Pose.from_quaternion(t, q))
         how = {"translation": pose.translation.tolist(), "quaternion": pose.quaternion().tolist()}
         texts.append(json.dumps({**source, "moved": how}, sort_keys=True))
     return a.merge(Map(moved.levels, moved.frame, texts))
@@ -223,10 +224,11 @@ def _search(there: _Side, what: _Side, settings: AlignSettings) -> tuple[Match, 
     # The middle may lie wherever the farthest cell can still meet a wall.
     low, high = there.points.min(axis=0) - what.reach, there.points.max(axis=0) + what.reach
     matcher = GlobalMatcher(OccupancyPyramid(there.walls), _box(there.walls.lattice, low, high))
+    apart = settings.apart_cells * there.walls.lattice.resolution
     # Poses that score less than the margin below the best need not be known.
     found = matcher.match(
         what.points - what.middle,
-        apart=settings.apart,
+        apart=(apart, apart / max(0.5 * what.reach, apart)),
         runner_up=1.0 - settings.min_margin,
         refine=False,
         time_limit=settings.time_limit,
