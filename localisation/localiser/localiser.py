@@ -263,18 +263,29 @@ class Localiser:
         """Take a match into account at a place; tell whether the scans still agree with the map there."""
         evidence = Evidence.of(len(points), 0.0, 0.0)
         place.match = match
-        place.latest = 0.0
         if match is not None:
             evidence = Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
-            # A point more is e times as likely where all are independent, and they are not.
-            place.latest = match.score / (max(TEMPERATURE, 1.0 / len(points)) * match.total)
             place.pose = match.pose
         place.judged.append(evidence)
         return fits(place.judged[-self.settings.patience :], self.settings)
 
+    def _weigh(self, points: FloatArray) -> None:
+        """Compare the places by the last scan.
+
+        The share of points that meet the map scatters by chance and with the cells they happen to fall into: what is
+        within one standard deviation of the best tells nothing, or such chances would add up to certainty.
+        """
+        shares = [0.0 if place.match is None else place.match.fraction for place in self._places]
+        best = max(shares, default=0.0)
+        share_of_beam = max(TEMPERATURE, 1.0 / len(points))
+        chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
+        for place, share in zip(self._places, shares, strict=True):
+            place.latest = min(0.0, share - best + chance) / share_of_beam
+
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
         s = self.settings
+        self._weigh(points)
         order = sorted(range(len(self._places)), key=lambda k: (-self._places[k].likelihood, k))
         kept: list[_Place] = []
         for place in (self._places[k] for k in order):
@@ -325,11 +336,12 @@ class Localiser:
         match = self._match_near(points, predicted)
         overlap, contradicted = (0.0, 0.0) if match is None else (match.overlap, match.contradicted or 0.0)
         evidence = Evidence.of(len(points), overlap, contradicted)
-        agrees = fits([evidence], s)
+        agrees = fits([evidence], s, tracked=True)
         self._recent.append((evidence, agrees))
         place.match = match
         # One scan that disagrees is left out; two, with those before them, are believed.
-        if len(self._recent) > 1 and not agrees and not self._recent[-2][1] and not fits([e for e, _ in self._recent], s):
+        twice = len(self._recent) > 1 and not agrees and not self._recent[-2][1]
+        if twice and not fits([e for e, _ in self._recent], s, tracked=True):
             self.times_lost += 1
             self.state = TrackState.lost
             self._waited = math.inf
