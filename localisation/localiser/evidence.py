@@ -37,14 +37,17 @@ def least_overlap(beams: float, settings: LocaliserSettings) -> float:
     return max(0.0, p - settings.sigmas * math.sqrt(p * (1.0 - p) / beams))
 
 
-def fits(scans: Iterable[Evidence], settings: LocaliserSettings) -> bool:
-    """Tell whether scans, taken together, agree with the map; no beam at all contradicts nothing."""
+def fits(scans: Iterable[Evidence], settings: LocaliserSettings, *, tracked: bool = False) -> bool:
+    """Tell whether scans, taken together, agree with the map; no beam at all contradicts nothing.
+
+    A pose that is ``tracked`` has its history to speak for it, and where walls were moved beams go through the old ones.
+    """
     scans = list(scans)
     n = sum(s.beams for s in scans)
     if n == 0.0:
         return True
     overlap = sum(s.beams * s.overlap for s in scans) / n
     contradicted = sum(s.beams * s.contradicted for s in scans) / n
-    q = settings.contradicted
+    q = settings.changed if tracked else settings.contradicted
     most = q + settings.sigmas * math.sqrt(q * (1.0 - q) / n)
     return overlap >= least_overlap(n, settings) and contradicted <= most

@@ -20,7 +20,7 @@ from hexmap.maps.state_rule import StateRule, States
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
-from localisation.localiser.evidence import Evidence, fits, least_overlap
+from localisation.localiser.evidence import Evidence, fits
 from localisation.localiser.fusion import carry_on, fuse, move_point
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
@@ -130,6 +130,8 @@ class Localiser:
         self._recent: deque[tuple[Evidence, bool]] = deque(maxlen=self.settings.patience)
         self._T_odom_sensor: Pose | None = None
         self._reading: Pose | None = None
+        # What the robot moved since the last search that found nothing: from one place it would find nothing again.
+        self._waited = self._turned = math.inf
         if start is not None:
             sensor = start @ self.mount
             self._places = [_Place(sensor, sensor, Pose.identity(self.dim))]
@@ -151,6 +153,11 @@ class Localiser:
         points = event.points[(ranges >= self.settings.min_range) & (ranges <= self.settings.max_range)]
         self.matcher.lattice.quantise(points)  # raises, naming the row, before anything is changed
         motion = self._motion(event)
+        if motion is None:
+            self._waited = math.inf
+        else:
+            self._waited += float(np.linalg.norm(motion.translation))
+            self._turned += motion.angle
         if self.state is TrackState.tracking:
             self._track(points, motion)
         elif self.state is TrackState.ambiguous:
@@ -193,20 +200,11 @@ class Localiser:
 
     def _search(self, points: FloatArray) -> None:
         """Look for a scan in the whole map; without points nothing is known afterwards either."""
-        s = self.settings
         self._places = []
-        if len(points) == 0:
+        if len(points) == 0 or (self._waited < self.settings.step_metres and self._turned < self.settings.step_radians):
             return
-        beams = Evidence.of(len(points), 0.0, 0.0).beams
-        found = find_hypotheses(
-            self.matcher, points, s.hypotheses,
-            least=least_overlap(beams, s), part=s.part, apart=s.apart, time_limit=s.time_limit,
-        )  # fmt: skip
-        self._complete = found.complete
-        for candidate in found.candidates:
-            place = _Place(candidate.pose, candidate.pose, Pose.identity(self.dim))
-            if self._judge(place, points, self._match_near(points, candidate.pose)):
-                self._places.append(place)
+        self._waited = self._turned = 0.0
+        self._places = self._newcomers(points, 0.0)
         self._settle_on(points)
 
     # ------------------------------------------------------------------ ambiguous
@@ -233,19 +231,27 @@ class Localiser:
                 kept.append(place)
         if kept and moved and not self._complete:
             # There were more places than are carried on: those that fit this scan too get their chance.
-            kept += self._newcomers(points, max(place.settled for place in kept))
+            found = self._newcomers(points, max(place.settled for place in kept))
+            kept += [new for new in found if not any(is_same_place(new.pose, old.pose, s.apart) for old in kept)]
         self._places = kept
         self._settle_on(points)
 
     def _newcomers(self, points: FloatArray, settled: float) -> list[_Place]:
-        """Search again, and return the places found; nothing yet speaks against them."""
+        """Search the whole map, and return the places found; nothing yet speaks against them."""
         s = self.settings
         beams = Evidence.of(len(points), 0.0, 0.0).beams
+
+        def accept(pose: Pose) -> bool:
+            share = contradicted_share(self.matcher.pyramid, points, pose)
+            return fits([Evidence(beams, 1.0, share)], s)
+
+        # Scans below the usual share are not worth the search, which is long where nothing fits: the next will do.
         found = find_hypotheses(
-            self.matcher, points, s.hypotheses,
-            least=least_overlap(beams, s), part=s.part, apart=s.apart, time_limit=s.time_limit,
+            self.matcher, points, s.hypotheses, least=s.explained, part=s.part, apart=s.apart,
+            accept=accept, time_limit=s.time_limit,
         )  # fmt: skip
-        self._complete = found.complete
+        # Where all that score best contradict the map, none is a rival of what is carried on.
+        self._complete = found.complete or not found.candidates
         places = []
         for candidate in found.candidates:
             place = _Place(candidate.pose, candidate.pose, Pose.identity(self.dim), settled)
@@ -257,18 +263,29 @@ class Localiser:
         """Take a match into account at a place; tell whether the scans still agree with the map there."""
         evidence = Evidence.of(len(points), 0.0, 0.0)
         place.match = match
-        place.latest = 0.0
         if match is not None:
             evidence = Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
-            # A point more is e times as likely where all are independent, and they are not.
-            place.latest = match.score / (max(TEMPERATURE, 1.0 / len(points)) * match.total)
             place.pose = match.pose
         place.judged.append(evidence)
         return fits(place.judged[-self.settings.patience :], self.settings)
 
+    def _weigh(self, points: FloatArray) -> None:
+        """Compare the places by the last scan.
+
+        The share of points that meet the map scatters by chance and with the cells they happen to fall into: what is
+        within one standard deviation of the best tells nothing, or such chances would add up to certainty.
+        """
+        shares = [0.0 if place.match is None else place.match.fraction for place in self._places]
+        best = max(shares, default=0.0)
+        share_of_beam = max(TEMPERATURE, 1.0 / len(points))
+        chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
+        for place, share in zip(self._places, shares, strict=True):
+            place.latest = min(0.0, share - best + chance) / share_of_beam
+
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
         s = self.settings
+        self._weigh(points)
         order = sorted(range(len(self._places)), key=lambda k: (-self._places[k].likelihood, k))
         kept: list[_Place] = []
         for place in (self._places[k] for k in order):
@@ -319,13 +336,15 @@ class Localiser:
         match = self._match_near(points, predicted)
         overlap, contradicted = (0.0, 0.0) if match is None else (match.overlap, match.contradicted or 0.0)
         evidence = Evidence.of(len(points), overlap, contradicted)
-        agrees = fits([evidence], s)
+        agrees = fits([evidence], s, tracked=True)
         self._recent.append((evidence, agrees))
         place.match = match
         # One scan that disagrees is left out; two, with those before them, are believed.
-        if len(self._recent) > 1 and not agrees and not self._recent[-2][1] and not fits([e for e, _ in self._recent], s):
+        twice = len(self._recent) > 1 and not agrees and not self._recent[-2][1]
+        if twice and not fits([e for e, _ in self._recent], s, tracked=True):
             self.times_lost += 1
             self.state = TrackState.lost
+            self._waited = math.inf
             return
         if match is not None and agrees:
             place.pose, self._covariance = fuse(predicted, P, match.pose, self._match_covariance(points, match))

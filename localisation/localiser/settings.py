@@ -33,6 +33,7 @@ class LocaliserSettings:
         step_radians: the same for a turn.
         explained: share of the points that meet the map in a building that has not changed too much.
         contradicted: share of the beams that go through walls of such a map, at the true pose.
+        changed: the same for a pose that is tracked, in a map of which much may have changed since.
         sigmas: standard deviations from these shares at which a map is said not to fit (2.33: one scan in a hundred).
         patience: scans over which a tracked pose is judged.
         drift: metres a metre and radians a radian by which odometry errs.
@@ -55,6 +56,7 @@ class LocaliserSettings:
     step_radians: float = math.radians(10.0)
     explained: float = 0.5
     contradicted: float = 0.05
+    changed: float = 0.25
     sigmas: float = 2.33
     patience: int = 5
     drift: float = 0.1
@@ -74,7 +76,7 @@ class LocaliserSettings:
             least = 0.0 if name.startswith("drift") else 1.0
             if not (getattr(self, name) >= least and getattr(self, name) > 0.0):
                 raise ArgumentError(f"the setting {name} is too small: {getattr(self, name)}")
-        for name in ("part", "explained", "contradicted"):
+        for name in ("part", "explained", "contradicted", "changed"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ArgumentError(f"the setting {name} is a share between 0 and 1, not {getattr(self, name)}")
         if not 0.0 < self.search_radians <= math.pi:

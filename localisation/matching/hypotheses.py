@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,8 @@ __all__ = ["Candidate", "Hypotheses", "find_hypotheses", "is_same_place"]
 
 # A neighbourhood that is cut by the border of two parts can be found again in the other one.
 _TRIES = 3
+# After so many refused poses, and none that was accepted, the scan is taken to belong elsewhere.
+_REFUSED = 2
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,7 @@ def find_hypotheses(
     least: float = 0.0,
     part: float = 0.9,
     apart: tuple[float, float] = (0.5, math.radians(10.0)),
+    accept: Callable[[Pose], bool] | None = None,
     time_limit: float | None = None,
 ) -> Hypotheses:
     """Return the best poses of a scan over the whole map and all yaws.
@@ -74,6 +78,7 @@ def find_hypotheses(
         least: share of the largest score, 0 to 1, below which no pose is looked for.
         part: share of the best score below which no other pose is looked for.
         apart: metres and radians within which two poses are the same.
+        accept: tells of a pose whether it is one to return; where the first two are refused nothing is returned.
         time_limit: seconds after which the search stops; what it found until then is not complete.
 
     Raises:
@@ -107,10 +112,13 @@ def find_hypotheses(
     while queue and len(chosen) < count and tries < _TRIES * count:
         tries += 1
         score, _, pose, region, without = heapq.heappop(queue)
-        if not chosen:
+        if tries == 1:
             floor = max(floor, math.ceil(-score * part) - 1)
         if not any(is_same_place(pose, other.pose, apart) for other in chosen):
-            chosen.append(Candidate(pose, -score))
+            if accept is None or accept(pose):
+                chosen.append(Candidate(pose, -score))
+            elif not chosen and tries >= _REFUSED:
+                return Hypotheses([], False, total)
         if without is None:
             look(region, pose)
         else:
