@@ -2,7 +2,8 @@
 
 The best pose is searched for; then the region is searched again outside its neighbourhood, and where that too has
 been done it is cut in two between the poses found, each part with one pose of its own to stay away from (Murty's
-partition of a set of solutions). So the poses come in the order of their scores, and when none is left the list is complete.
+partition of a set of solutions). So the poses come in the order of their scores, and when none is left the list is
+complete.
 """
 
 from __future__ import annotations
