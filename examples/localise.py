@@ -23,4 +23,6 @@ for moment in list(simulate(make_building("room"), seed=2, duration=20.0))[100:]
     elif estimate.stamp % 2.0 < 0.1:
         off = (estimate.pose.inverse() @ moment.T_map_robot).translation
         sigma = estimate.covariance[[0, 1], [0, 1]] ** 0.5
-        print(f"{estimate.stamp:5.1f} s  {estimate.pose}, {1000 * (off @ off) ** 0.5:.0f} mm off, sigma {sigma.round(3)} m")
+        print(
+            f"{estimate.stamp:5.1f} s  {estimate.pose}, {1000 * (off @ off) ** 0.5:.0f} mm off, sigma {sigma.round(3)}"
+        )

@@ -56,7 +56,7 @@ def localise(
 ) -> None:
     """Find a robot in a map and follow it along a log; no start pose is needed.
 
-    Poses are written for the scans at which one place stands out. Until then, and after the robot is lost, there are none.
+    Poses are written for the scans at which one place stands out; until then, and where the robot is lost, none.
     """
     from hexmap.drawing.map_drawing import check_picture
     from hexmap.io.logs.log import LogSettings
@@ -201,13 +201,17 @@ def _localise(
     for text in track.warnings:
         warn(text)
     if not poses:
-        raise LogError(f"{source.path}: not in this map ({map}), or nowhere without doubt: none of {track.scans} scans has a pose")
+        raise LogError(
+            f"{source.path}: not in this map ({map}), or nowhere without doubt: none of {track.scans} scans has a pose"
+        )
     write_tum(output, Trajectory.from_poses(stamps, poses))
+    rate = 1000 * seconds / max(track.scans, 1)
     say(
-        f"{track.scans} scans in {seconds:.1f} s ({1000 * seconds / max(track.scans, 1):.1f} ms a scan); localised after "
-        f"{track.scans_until} scans and {track.metres_until:.1f} m"
+        f"{track.scans} scans in {seconds:.1f} s ({rate:.1f} ms a scan); localised after {track.scans_until} scans and "
+        f"{track.metres_until:.1f} m"
     )
-    say(f"{track.placed / track.scans:.1%} of the scans have a pose, {track.metres:.1f} m; lost {track.times_lost} times")
+    share = track.placed / track.scans
+    say(f"{share:.1%} of the scans have a pose, {track.metres:.1f} m; lost {track.times_lost} times")
     wrote(output, f"{track.placed} poses, TUM")
     if csv is not None:
         wrote(csv, f"{track.scans} scans")

@@ -40,7 +40,7 @@ def least_overlap(beams: float, settings: LocaliserSettings) -> float:
 def fits(scans: Iterable[Evidence], settings: LocaliserSettings, *, tracked: bool = False) -> bool:
     """Tell whether scans, taken together, agree with the map; no beam at all contradicts nothing.
 
-    A pose that is ``tracked`` has its history to speak for it, and where walls were moved beams go through the old ones.
+    A pose that is ``tracked`` has its history to speak for it, and beams go through the old places of moved walls.
     """
     scans = list(scans)
     n = sum(s.beams for s in scans)

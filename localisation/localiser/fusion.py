@@ -43,7 +43,7 @@ def carry_on(
 
 
 def fuse(predicted: Pose, P: FloatArray, measured: Pose, M: FloatArray) -> tuple[Pose, FloatArray]:
-    """Return the pose and covariance that a prediction (P) and a measurement (M) make together, by their information."""
+    """Return pose and covariance that a prediction (P) and a measurement (M) make together, by their information."""
     n = predicted.dim
     turn = measured.rotation @ predicted.rotation.T
     between = np.concatenate([measured.translation - predicted.translation, _rotation_vector(turn)])

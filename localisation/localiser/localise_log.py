@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import IO
 
 from hexmap.base.errors import BoundsError, LogError
 from hexmap.io.logs.log import Log

@@ -1,8 +1,9 @@
 """From scans to poses in a known map, without a start pose.
 
-Lost: the whole map is searched for the scan. Ambiguous: all poses that fit are carried on by the robot's motion, each is
-matched against every new scan, and what they score adds up until one stands out. Tracking: the scan is matched around the
-prediction, and both are fused by their information. When the scans of some time disagree with the map, the robot is lost.
+Lost: the whole map is searched for the scan. Ambiguous: all poses that fit are carried on by the robot's motion, each
+is matched against every new scan, and what they score adds up until one stands out. Tracking: the scan is matched
+around the prediction, and both are fused by their information. When the scans of some time disagree with the map, the
+robot is lost.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ __all__ = ["Localiser"]
 
 # Metres that no robot drives between two scans: a damaged number or a reset of the odometry.
 _FARTHEST_JUMP = 100.0
+# How many times as wide the window is where the scan does not fit within it.
+_WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
 _HOPELESS = 10.0
 
@@ -115,9 +118,7 @@ class Localiser:
         """Prepare the matcher."""
         states = world.state(rule, level) if isinstance(world, Map) else world
         self.settings = settings or LocaliserSettings()
-        self.matcher = GlobalMatcher(
-            OccupancyPyramid(coincidence(states.occupied)), states.occupied.merge(states.free)
-        )
+        self.matcher = GlobalMatcher(OccupancyPyramid(coincidence(states.occupied)), states.occupied.merge(states.free))
         self.dim = states.occupied.lattice.dim
         self.mount = mount or Pose.identity(self.dim)
         if self.mount.dim != self.dim or (start is not None and start.dim != self.dim):
@@ -181,13 +182,11 @@ class Localiser:
 
     # ------------------------------------------------------------------ matching
 
-    def _match_near(self, points: FloatArray, predicted: Pose) -> Match | None:
-        """Return the best pose of the window around ``predicted`` (T_map_sensor)."""
+    def _match_near(self, points: FloatArray, predicted: Pose, widened: float = 1.0) -> Match | None:
+        """Return the best pose of the window around ``predicted`` (T_map_sensor), or of one so many times as wide."""
         s = self.settings
-        region = SearchRegion(
-            predicted.translation - s.search_metres, predicted.translation + s.search_metres,
-            predicted.theta, s.search_radians,
-        )  # fmt: skip
+        metres, radians = s.search_metres * widened, min(s.search_radians * widened, math.pi)
+        region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
         return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
 
     def _match_covariance(self, points: FloatArray, match: Match) -> FloatArray:
@@ -261,12 +260,10 @@ class Localiser:
 
     def _judge(self, place: _Place, points: FloatArray, match: Match | None) -> bool:
         """Take a match into account at a place; tell whether the scans still agree with the map there."""
-        evidence = Evidence.of(len(points), 0.0, 0.0)
         place.match = match
         if match is not None:
-            evidence = Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
             place.pose = match.pose
-        place.judged.append(evidence)
+        place.judged.append(_evidence(points, match))
         return fits(place.judged[-self.settings.patience :], self.settings)
 
     def _weigh(self, points: FloatArray) -> None:
@@ -334,9 +331,15 @@ class Localiser:
         if len(points) == 0:
             return
         match = self._match_near(points, predicted)
-        overlap, contradicted = (0.0, 0.0) if match is None else (match.overlap, match.contradicted or 0.0)
-        evidence = Evidence.of(len(points), overlap, contradicted)
+        evidence = _evidence(points, match)
         agrees = fits([evidence], s, tracked=True)
+        if not agrees:
+            # Wheels that slip put the true pose outside any window that is fast for every scan; what is found in a
+            # wide one must fit as well as a place that is searched for in the whole map.
+            wide = self._match_near(points, predicted, _WIDENED)
+            if wide is not None and wide.fraction >= s.explained and fits([_evidence(points, wide)], s):
+                match, evidence, agrees = wide, _evidence(points, wide), True
+                P = P + self._start_covariance() * _WIDENED**2
         self._recent.append((evidence, agrees))
         place.match = match
         # One scan that disagrees is left out; two, with those before them, are believed.
@@ -377,6 +380,12 @@ class Localiser:
             contradicted=(match.contradicted or 0.0) if match else 0.0,
             complete=self._complete,
         )
+
+
+def _evidence(points: FloatArray, match: Match | None) -> Evidence:
+    if match is None:
+        return Evidence.of(len(points), 0.0, 0.0)
+    return Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
 
 
 def _moved(a: Pose, b: Pose, metres: float, radians: float) -> bool:

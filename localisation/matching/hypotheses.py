@@ -1,8 +1,9 @@
 """All good poses of a scan in a map, not only the best: what a localiser carries on until the robot has seen more.
 
-The best pose is searched for; then the region is searched again outside its neighbourhood, and where that too has been
-done it is cut in two between the poses found, each part with one pose of its own to stay away from (Murty's partition of
-a set of solutions). So the poses come in the order of their scores, and when none is left the list is complete.
+The best pose is searched for; then the region is searched again outside its neighbourhood, and where that too has
+been done it is cut in two between the poses found, each part with one pose of its own to stay away from (Murty's
+partition of a set of solutions). So the poses come in the order of their scores, and when none is left the list is
+complete.
 """
 
 from __future__ import annotations

@@ -39,7 +39,9 @@ def failure(capsys: pytest.CaptureFixture[str], code: int, *arguments: object) -
 
 def test_poses_table_and_picture(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     poses, table, picture = folder / "p.tum", folder / "p.csv", folder / "p.png"
-    assert call("localise", folder / "a.parquet", folder / "b.clf", "-o", poses, "--csv", table, "--picture", picture) == 0
+    assert (
+        call("localise", folder / "a.parquet", folder / "b.clf", "-o", poses, "--csv", table, "--picture", picture) == 0
+    )
     out = capsys.readouterr().out
     assert "localised after" in out and "lost 0 times" in out and out.count("wrote ") == 3
     error = absolute_error(read_tum(folder / "b.tum"), read_tum(poses), "time")

@@ -120,9 +120,7 @@ def test_two_equal_rooms_are_both_kept_until_the_robot_sees_what_tells_them_apar
     notch = [(1.0, 4.0, 1.0, 3.0), (11.0, 4.0, 11.0, 3.0)]
     cells = [*rectangle(*left), *rectangle(*right), *notch, *rectangle(4.6, 0.6, 5.2, 1.2)]
     building = boxes("twins", cells, [(1.0, 1.0), (5.0, 2.5)])
-    world = map_of(
-        drive(building, 1) + drive(boxes("twins", cells, [(11.0, 1.0), (15.0, 2.5)]), 1)
-    )
+    world = map_of(drive(building, 1) + drive(boxes("twins", cells, [(11.0, 1.0), (15.0, 2.5)]), 1))
     moments = drive(building, 2)
     scans = []
     for k, m in enumerate(moments):
