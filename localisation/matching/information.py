@@ -72,7 +72,7 @@ def score_covariance(
     T = max(1e-9, temperature * float(weights.sum()) * pyramid.most)
     placed = _Placed(pyramid, points, np.ascontiguousarray(weights), pose, lever)
     # The floor: a point uniform in its cell, or what refining leaves of that, and the turn that moves points as far.
-    floor = lattice.cell.second_moment * lattice.resolution**2 * (_REFINED if refined else 1.0)
+    floor = lattice.cell.second_moment * lattice.resolution**2 * (_REFINED if refined and n == 2 else 1.0)
     unit = np.ones(n + placed.turns)
     unit[n:] = lever
     # In space boxes blur too much: a hall's walls, floor and furniture, widened by a cell or two, bound nothing. There
