@@ -31,7 +31,7 @@ __all__ = ["TEMPERATURE", "score_covariance"]
 TEMPERATURE = 0.02
 # The share of a cell's second moment that refining leaves: an error of 3.5 mm an axis at 0.05 m, a quarter of what
 # quantising alone leaves (with the whole moment, ellipses of 50 % held 98 % of the refined poses). A pose that was not
-# refined has all of it: then 2.1 over 3 degrees of freedom.
+# refined has all of it: then 2.1 over 3 degrees of freedom. So has one in space, where nothing was fitted.
 _REFINED = 0.06
 # Steps along an axis to either side in the plane; in space every pose more is dear.
 _STEPS = {2: 6, 3: 2}
