@@ -31,7 +31,7 @@ __all__ = ["TEMPERATURE", "score_covariance"]
 TEMPERATURE = 0.02
 # The share of a cell's second moment that refining leaves: an error of 3.5 mm an axis at 0.05 m, a quarter of what
 # quantising alone leaves (with the whole moment, ellipses of 50 % held 98 % of the refined poses). A pose that was not
-# refined has all of it: then 2.1 over 3 degrees of freedom.
+# refined has all of it: then 2.1 over 3 degrees of freedom. So has one in space, where nothing was fitted.
 _REFINED = 0.06
 # Steps along an axis to either side in the plane; in space every pose more is dear.
 _STEPS = {2: 6, 3: 2}
@@ -72,10 +72,13 @@ def score_covariance(
     T = max(1e-9, temperature * float(weights.sum()) * pyramid.most)
     placed = _Placed(pyramid, points, np.ascontiguousarray(weights), pose, lever)
     # The floor: a point uniform in its cell, or what refining leaves of that, and the turn that moves points as far.
-    floor = lattice.cell.second_moment * lattice.resolution**2 * (_REFINED if refined else 1.0)
+    floor = lattice.cell.second_moment * lattice.resolution**2 * (_REFINED if refined and n == 2 else 1.0)
     unit = np.ones(n + placed.turns)
     unit[n:] = lever
-    covariance = placed.narrow(T) + placed.wide(T, unit) + floor * np.diag(1.0 / unit**2)
+    # In space boxes blur too much: a hall's walls, floor and furniture, widened by a cell or two, bound nothing. There
+    # the scores themselves are looked at farther away, which finds a tunnel only where it runs along the lattice.
+    surface = placed.narrow(T) + placed.wide(T, unit) if n == 2 else placed.wide(T, unit)
+    covariance = surface + floor * np.diag(1.0 / unit**2)
     return 0.5 * (covariance + covariance.T)  # sums in another order differ in the last bits
 
 
@@ -122,7 +125,8 @@ class _Placed:
 
         A wall is a cell thick, and shifts along it that are lattice vectors leave it and meet it again, unless it runs
         along the lattice: cell by cell, the ridge of a corridor is a row of peaks. With the largest weight in a box
-        around each cell it is a ridge, whichever way it runs; what the boxes themselves blur is taken off again.
+        around each cell it is a ridge, whichever way it runs; what the boxes themselves blur is taken off again. In
+        space it is the surface of the scores themselves.
         """
         from localisation.matching import _pose_kernels as kernels
 
@@ -140,7 +144,10 @@ class _Placed:
             window = int(windows[table])
             shifts, vectors, index = self.poses(apart, wide)
             scores = np.empty((len(vectors), len(shifts)), np.int64)
-            kernels.widened_surface(tables, table, (window - 1) // 2, index, self.weights, shifts, scores)
+            if self.dim == 2:
+                kernels.widened_surface(tables, table, (window - 1) // 2, index, self.weights, shifts, scores)
+            else:
+                kernels.surface(tables, index, self.weights, shifts, scores)
             heat = _heat(scores, T)
             offsets = self.lattice.centres(shifts)
             moments = _moments(heat, offsets, vectors) * np.outer(unit, unit)
@@ -148,7 +155,7 @@ class _Placed:
             n = self.dim
             width = np.abs(self.lattice.basis.T @ axes[:n]).sum(axis=0)
             width += self.lattice.resolution * np.linalg.norm(axes[n:], axis=0)
-            blur = _BLUR * (window * width) ** 2
+            blur = _BLUR * (window * width) ** 2 if self.dim == 2 else 0.0
             covariance = (axes * np.maximum(size - blur, 0.0)) @ axes.T / np.outer(unit, unit)
             # Where poses at the rim still weigh something the surface is looked at over twice the distance.
             length = np.linalg.norm(offsets, axis=1)

@@ -515,11 +515,12 @@ def tilted() -> SearchRegion:
 
 def space(cache: Path, sizes: Sizes) -> None:
     """Print how LiDAR scans are found in the hall (figure 6)."""
-    rows: list[list[object]] = [[
-        "hall, 0.5 m", "cells", "points", "scans", "certified", "gap, median", "most", "in 0.5 m, 3 deg", "error m",
-        "deg", "search CPU ms", "all CPU ms", "nodes", "MB", "build s",
-    ]]  # fmt: skip
+    print(f"yaw all, tilt up to 5 degrees, limit {sizes.limit:g} s; ms: median / 95th percentile\n")
     for name in ("Z3", "D3", "D3*"):
+        rows: list[list[object]] = [[
+            "hall, 0.5 m", "cells", "points", "scans", "certified", "gap, median", "most", "in 0.5 m, 3 deg", "error m",
+            "deg", "search CPU ms", "all CPU ms", "nodes", "MB", "build s",
+        ]]  # fmt: skip
         world = hall_world(cache, Lattice.named(name, 0.5))
         begin = time.process_time()
         matcher = GlobalMatcher.of_map(world.map)
@@ -538,8 +539,7 @@ def space(cache: Path, sizes: Sizes) -> None:
             float(np.median([t.degrees for t in only])), spread([t.cpu for t in only]), spread([t.cpu for t in full]),
             int(np.median([m.nodes for m in matches])), matcher.pyramid.nbytes / 1e6, build,
         ])  # fmt: skip
-    print(f"yaw all, tilt up to 5 degrees, limit {sizes.limit:g} s; ms: median / 95th percentile\n")
-    table(rows)
+        table(rows)
 
 
 def _digests(cache: Path, numbers: Sequence[int]) -> list[str]:
