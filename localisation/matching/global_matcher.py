@@ -98,6 +98,7 @@ class GlobalMatcher:
     Examples:
         >>> import numpy as np
         >>> from hexmap import Lattice, Pose, VoxelList
+        >>> from localisation.matching import GlobalMatcher, OccupancyPyramid, coincidence
         >>> wall = np.stack([np.linspace(-2, 2, 81), np.full(81, 1.5)], axis=1)
         >>> room = np.concatenate([wall, wall[:50] * [1, -1], wall[:, ::-1], [[0.5, 0.2], [0.55, 0.2], [-1.0, 0.7]]])
         >>> cells = VoxelList.from_points(room, Lattice.named("A2", resolution=0.05))

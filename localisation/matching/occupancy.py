@@ -36,6 +36,7 @@ class Occupancy:
         >>> import numpy as np
         >>> from hexmap import Lattice, VoxelList
         >>> walls = VoxelList.from_points([[0.0, 0.0], [5.0, 1.0]], Lattice.named("A2", resolution=0.1))
+        >>> from localisation.matching import Occupancy
         >>> occupancy = Occupancy.of_list(walls)
         >>> occupancy.change(walls.index[:1], np.array([False]))
         >>> occupancy.contains(walls.index).tolist()
