@@ -14,7 +14,6 @@ from hexmap.cli.plan.map_source import inputs_of
 from hexmap.cli.viewing import MinHits, MinRatio, rule_of
 
 if TYPE_CHECKING:
-    from hexmap.lattice.lattice import Lattice
     from hexmap.maps.state_rule import States
 
 __all__ = ["localise"]
@@ -131,30 +130,12 @@ def _states(
         on = Lattice.named(lattice or "A2", resolution or grid.cell)
         if on.dim != 2:
             raise ArgumentError(f"{path}: the map is of the plane, the lattice {on.name} is not; take Z2 or A2")
-        states = _grid_states(grid, on)
+        states = grid.to_states(on)
     if states.occupied.lattice.dim != 2:
         raise ArgumentError(f"{path}: the map is of space; a laser log needs one of the plane")
     if len(states.occupied) == 0:
         raise FormatError(f"{path}: no cell of the map is occupied, nothing can be found in it")
     return states
-
-
-def _grid_states(grid: Any, lattice: Lattice) -> States:
-    """Return the states of a grid map of others on a lattice."""
-    import numpy as np
-
-    from hexmap.maps.cell_state import CellState
-    from hexmap.maps.state_rule import States
-    from hexmap.maps.voxel_list import VoxelList
-
-    if hasattr(grid, "to_states"):
-        states: States = grid.to_states(lattice)
-        return states
-    occupied, free = (
-        VoxelList.from_points(grid.centre(np.argwhere(grid.states == state)), lattice)
-        for state in (CellState.OCCUPIED.value, CellState.FREE.value)
-    )
-    return States(occupied, free.select(~occupied.contains(free.index)))
 
 
 def _localise(
