@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from localisation.mapping.align import AlignSettings, Alignment, align_maps, merge_aligned
+from localisation.mapping.align import Alignment, AlignSettings, align_maps, merge_aligned
 from localisation.mapping.build_map import build_map
 from localisation.mapping.fuse_log import fuse_log, readings_at_poses
 from localisation.mapping.result import MappingResult
