@@ -115,8 +115,8 @@ def _log_info(path: Path) -> None:
             last = pose
     say(f"{path}: a log ({log.format}), {log.scans} scans, {log.odometry} odometry readings")
     say(
-        f"{points / log.scans:.1f} points a scan up to {math.sqrt(farthest):.2f} m, {rays / log.scans:.1f} beams a scan "
-        "without return"
+        f"{points / log.scans:.1f} points a scan up to {math.sqrt(farthest):.2f} m, "
+        f"{rays / log.scans:.1f} beams a scan without return"
     )
     say(f"stamps {stamps[0]:.3f} to {stamps[1]:.3f} s, {metres:.1f} m by odometry")
     if log.mount is not None:

@@ -51,7 +51,8 @@ PCD = _kind(
     rb"(?:[ \t]*(?:#[^\n]*)?\r?\n)*(?:# \.PCD|VERSION[ \t]+\.?[0-9]|(?:FIELDS|COLUMNS)[ \t]+[A-Za-z_])",
 )
 
-# Maps, ours and those of others. The marks of MovingAI and Warframe maps and of scenarios are ordinary words, which other texts may begin with.
+# Maps, ours and those of others. The marks of MovingAI and Warframe maps and of scenarios are ordinary words, which
+# other texts may begin with.
 PARQUET = _kind("a Parquet file", rb"PAR1")
 FULL_OCTOMAP = _kind("a full OctoMap", rb"# Octomap OcTree file")
 OCTOMAP = _kind("an OctoMap", rb"# Octomap")

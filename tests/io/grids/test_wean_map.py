@@ -54,7 +54,10 @@ def test_one_is_free_and_nought_is_a_wall(tmp_path: Path, name: str) -> None:
     [
         (HEAD[:2], "no line 'global_map[0]: Y X' in the file"),
         ([HEAD[0], *HEAD[2:], *ROWS], "no line 'robot_specifications->resolution' before the map"),
-        ([HEAD[0], "robot_specifications->resolution -1", *HEAD[2:], *ROWS], "line 2: the resolution must be a positive"),
+        (
+            [HEAD[0], "robot_specifications->resolution -1", *HEAD[2:], *ROWS],
+            "line 2: the resolution must be a positive",
+        ),
         ([HEAD[0], "robot_specifications->resolution", *HEAD[2:], *ROWS], "line 2: the resolution must be a positive"),
         ([HEAD[0], "robot_specifications->resolution x", *HEAD[2:], *ROWS], "positive number, not 'x'"),
         ([*HEAD[:3], "global_map[0]: 2", *ROWS], "line 4: two integers belong after global_map[0]:"),
