@@ -93,7 +93,7 @@ def save_map(path: str | os.PathLike[str], map: Map) -> None:
 def _row_groups(map: Map) -> Iterator[list[NDArray[Any]]]:
     """Yield the columns of the file, so many rows at a time: a large map would take three times its memory at once."""
     waiting: list[list[NDArray[Any]]] = []
-    count = 0
+    count = rows = 0
     for k, level in enumerate(map.levels):
         for part in _parts(level):
             keys, hits, passes = part.columns()
@@ -103,9 +103,11 @@ def _row_groups(map: Map) -> Iterator[list[NDArray[Any]]]:
                 cut = _GROUP - count
                 yield _joined([*waiting, [c[:cut] for c in columns]])
                 waiting, count, columns = [], 0, [c[cut:] for c in columns]
+                rows += _GROUP
             waiting.append(columns)
             count += len(columns[0])
-    if count:
+    # A map without a cell has one group of no rows.
+    if count or not rows:
         yield _joined(waiting)
 
 

@@ -1,11 +1,11 @@
 """Numba kernels of the growing grid: dense tiles of counts, found by an open-addressing hash table.
 
 Scans hit the same few thousand cells again and again; adding them to a tile is one array access, where merging sorted
-lists would touch the whole map for every scan. A tile holds ``1 << (n * bits)`` cells, hits and passes of a cell side by
-side: whoever changes one of them asks for both, to see whether the cell's state has changed.
+lists would touch the whole map for every scan. A tile holds ``1 << (n * bits)`` cells, hits and passes of a cell side
+by side: whoever changes one of them asks for both, to see whether the cell's state has changed.
 
-The quantiser and the walk along a ray are those of the lattice (``hexmap/lattice/_kernels.py`` and ``_ray_kernels.py``).
-Numba does not notice when those are edited: delete the caches then (``make clean``).
+The quantiser and the walk along a ray are the lattice's (``hexmap/lattice/_kernels.py`` and ``_ray_kernels.py``). Numba
+does not notice when those are edited: delete the caches then (``make clean``).
 """
 
 # mypy: ignore-errors
@@ -275,8 +275,8 @@ def _end_of_group(order, corners, begin, stop, axis):
 def sorted_cells(channel, arrays, order, n, keys, counts):
     """Write the keys and the counts of all cells of ``channel`` that are not zero, in ascending order.
 
-    ``order`` (T,) are the tiles by their coordinates. No sorting: the cells of tiles that share the first coordinate are
-    visited row by row across all of them.
+    ``order`` (T,) are the tiles by their coordinates. No sorting: the cells of tiles that share the first coordinate
+    are visited row by row across all of them.
     """
     corners, tiles, bits = arrays.corners, arrays.tiles, arrays.bits
     side = np.int64(1) << bits

@@ -88,8 +88,9 @@ class CellCounter:
         chunk = row = 0
         while chunk < rays:
             bad, total, chunk, row, self._used, self._noted = kernels.fuse(
-                self._arrays, tables, faces, start, ends, hits, chunk, row, self._used, self._noted, self._most, MAX_CELLS
-            )
+                self._arrays, tables, faces, start, ends, hits, chunk, row, self._used, self._noted, self._most,
+                MAX_CELLS,
+            )  # fmt: skip
             if bad or total:
                 # The same rays once more, for the sake of the message.
                 for some in (ends[:hits], ends[hits:]):

@@ -200,9 +200,8 @@ def _blocks(lattice: Lattice, metres: float) -> Any:
     groups, group = np.unique(which // side, axis=0, return_inverse=True)
     members = np.full((len(groups), costs.shape[1]), -1)
     members[group.ravel(), np.ravel_multi_index(tuple((which % side).T), (side,) * lattice.dim)] = np.arange(len(which))
-    return kernels.ShiftBlocks(
-        np.ascontiguousarray(low + which * side), np.ascontiguousarray(low + groups * side * side), members, masks, costs
-    )
+    lows, wide_lows = np.ascontiguousarray(low + which * side), np.ascontiguousarray(low + groups * side * side)
+    return kernels.ShiftBlocks(lows, wide_lows, members, masks, costs)
 
 
 def _farthest(points: FloatArray) -> float:

@@ -35,6 +35,7 @@ class Occupancy:
     Examples:
         >>> import numpy as np
         >>> from hexmap import Lattice, VoxelList
+        >>> from localisation.matching import Occupancy
         >>> walls = VoxelList.from_points([[0.0, 0.0], [5.0, 1.0]], Lattice.named("A2", resolution=0.1))
         >>> from localisation.matching import Occupancy
         >>> occupancy = Occupancy.of_list(walls)
@@ -120,10 +121,10 @@ class Occupancy:
         """Return the occupied cells (M, n), in no order."""
         from localisation.matching import _kernels as kernels
 
-        corners = self._near.corners()
-        m = kernels.occupied_cells(self._near.arrays, corners, self._near.used, np.empty((0, self.lattice.dim), np.int64))
+        near, corners = self._near, self._near.corners()
+        m = kernels.occupied_cells(near.arrays, corners, near.used, np.empty((0, self.lattice.dim), np.int64))
         out = np.empty((m, self.lattice.dim), np.int64)
-        kernels.occupied_cells(self._near.arrays, corners, self._near.used, out)
+        kernels.occupied_cells(near.arrays, corners, near.used, out)
         return out
 
     def contains(self, index: NDArray[np.integer]) -> NDArray[np.bool_]:

@@ -157,7 +157,8 @@ def test_a_follower_knows_every_cell_that_was_hit(case: Case) -> None:
         counter.fuse(origin, origin + rng.uniform(-2, 2, (40, case.dim)), 30)
     hits = counter.to_list(HITS)
     passes = counter.find(hits.index, PASSES)
-    expected = dict(zip(map(tuple, hits.index.tolist()), zip(hits.counts.tolist(), passes.tolist(), strict=True), strict=True))
+    counts = zip(hits.counts.tolist(), passes.tolist(), strict=True)
+    expected = dict(zip(map(tuple, hits.index.tolist()), counts, strict=True))
     assert told[0] == told[1] == expected
 
 
