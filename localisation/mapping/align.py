@@ -2,7 +2,8 @@
 
 The occupied cells of the second map are matched as one large scan, over all yaws and wherever any part of it meets the
 first: the certified search of :class:`~localisation.matching.global_matcher.GlobalMatcher` on coarse cells, then
-refined on the finest level. A map that was never there has a best pose, too, so that a pose must pass tests before it counts.
+refined on the finest level. A map that was never there has a best pose, too, so that a pose must pass tests before it
+counts.
 """
 
 from __future__ import annotations
