@@ -36,6 +36,10 @@ class TrajectoryError(HexmapError, ValueError):
     """A trajectory or relations file cannot be read, or two of them do not associate."""
 
 
+class AlignmentError(HexmapError, ValueError):
+    """One map cannot be found in another beyond doubt; the text says which test failed, with its numbers."""
+
+
 class FormatError(HexmapError, ValueError):
     """A map or another data file is damaged, of a foreign kind or of a newer version."""
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hexmap.base.errors import HexmapError
-from hexmap.cli import benchmark, experiments, mapping, viewing
+from hexmap.cli import benchmark, experiments, localise, mapping, viewing
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
 
@@ -29,6 +29,7 @@ app = typer.Typer(
 app.command()(mapping.demo)
 app.command()(mapping.simulate)
 app.command()(mapping.build)
+app.command()(localise.localise)
 app.command()(mapping.merge)
 app.command()(mapping.evaluate)
 app.command()(viewing.info)

@@ -14,6 +14,7 @@ import typer
 from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
 
 if TYPE_CHECKING:
+    from hexmap.maps.map import Map
     from localisation.evaluation import ErrorStatistics
     from localisation.settings import MappingSettings
 
@@ -266,22 +267,47 @@ def _build(
 def merge(
     maps: Annotated[list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
+    align: Annotated[
+        bool, typer.Option("--align", help="Find each further map in those before it first, and move it there.")
+    ] = False,
 ) -> None:
-    """Merge maps cell by cell; the order does not matter."""
-    from hexmap.base.errors import ArgumentError, LatticeError
+    """Merge maps cell by cell; the order does not matter unless they are aligned."""
+    from hexmap.base.errors import AlignmentError, ArgumentError, LatticeError
     from hexmap.io.map_file import load_map, save_map
 
     if len(maps) < 2:
         raise ArgumentError("merging takes two maps or more")
     check_outputs({"--output": output}, tuple(maps))
     merged = load_map(maps[0])
+    found: list[str] = []
     for path in maps[1:]:
         try:
-            merged = merged.merge(load_map(path))
+            if align:
+                merged, words = _merge_aligned(merged, load_map(path))
+                found.append(f"; {path.name} at {words}")
+            else:
+                merged = merged.merge(load_map(path))
+        except AlignmentError as error:
+            raise AlignmentError(f"{path}: not found in {maps[0]}: {error}") from error
         except (LatticeError, ArgumentError) as error:
             raise type(error)(f"{path}: cannot be merged with {maps[0]}: {error}") from error
     save_map(output, merged)
-    wrote(output, f"{len(maps)} maps merged, {len(merged.levels[0].hits)} cells hit")
+    wrote(output, f"{len(maps)} maps merged, {len(merged.levels[0].hits)} cells hit{''.join(found)}")
+
+
+def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
+    """Find b in a and merge both; returns the map in a's frame, and where b was found."""
+    from hexmap.base.errors import LatticeError
+    from hexmap.cli.viewing import rule_of
+    from localisation.mapping.align import align_maps, merge_aligned, pose_words
+
+    # Before the search, which takes seconds.
+    if a.lattice != b.lattice:
+        raise LatticeError(f"the maps are on different lattices: {a.lattice!r} and {b.lattice!r}")
+    first_run_note()
+    found = align_maps(a, b, rules=(rule_of(None, None, a.sources()), rule_of(None, None, b.sources())))
+    what = f"{pose_words(found.pose)}, {found.overlap:.0%} overlap, {found.contradicted:.0%} contradicted"
+    return merge_aligned(a, b, found), what
 
 
 def evaluate(

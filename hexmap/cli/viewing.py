@@ -24,10 +24,26 @@ MinRatio = Annotated[
 
 
 def info(
-    map: MapFile,
+    source: Annotated[Path, typer.Argument(metavar="map", help="A map, of hexmap or of others, or a laser log.")],
     config: Annotated[bool, typer.Option("--config", help="Print only its settings, as JSON.")] = False,
 ) -> None:
-    """Say what a map holds and where it came from."""
+    """Say what a map or a log holds and where it came from."""
+    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.grids.open_grid import is_grid
+    from hexmap.io.logs.open_log import is_log
+
+    if not config and not is_parquet(source):
+        if is_grid(source):
+            _grid_info(source)
+            return
+        if is_log(source):
+            _log_info(source)
+            return
+    _map_info(source, config)
+
+
+def _map_info(map: Path, config: bool) -> None:
+    """Say what a map of hexmap holds, or print its settings."""
     import json
 
     from hexmap.base.errors import ArgumentError
@@ -60,6 +76,53 @@ def info(
             say("versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()))
         say("configuration (for --config):")
         say(json.dumps(source.get("settings"), indent=2))
+
+
+def _grid_info(path: Path) -> None:
+    """Say what a map of others holds."""
+    import numpy as np
+
+    from hexmap.io.grids.open_grid import open_grid
+    from hexmap.maps.cell_state import CellState
+
+    grid = open_grid(path)
+    size = " x ".join(str(s) for s in grid.states.shape)
+    say(f"{path}: a map of others ({grid.kind}), {size} cells of {grid.cell:g} m, yaw {np.degrees(grid.yaw):g} degrees")
+    counts = {state: np.count_nonzero(grid.states == state.value) for state in CellState}
+    say(", ".join(f"{counts[s]:,d} {s.name.lower()}" for s in (CellState.OCCUPIED, CellState.FREE, CellState.UNKNOWN)))
+    say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(grid.low, grid.high, strict=True)))
+
+
+def _log_info(path: Path) -> None:
+    """Say what a log holds; it is read to its end."""
+    import math
+
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.poses.scan import Scan
+
+    log = open_log(path)
+    points = rays = 0
+    farthest = metres = 0.0
+    stamps, last = [math.inf, -math.inf], None
+    for event in log:
+        stamps = [min(stamps[0], event.stamp), max(stamps[1], event.stamp)]
+        if isinstance(event, Scan):
+            points, rays = points + len(event.points), rays + len(event.no_return)
+            farthest = max(farthest, float((event.points**2).sum(axis=1).max(initial=0.0)))
+        pose = event.odometry if isinstance(event, Scan) else event.pose
+        if pose is not None:
+            metres += 0.0 if last is None else math.dist(last.translation, pose.translation)
+            last = pose
+    say(f"{path}: a log ({log.format}), {log.scans} scans, {log.odometry} odometry readings")
+    say(
+        f"{points / log.scans:.1f} points a scan up to {math.sqrt(farthest):.2f} m, "
+        f"{rays / log.scans:.1f} beams a scan without return"
+    )
+    say(f"stamps {stamps[0]:.3f} to {stamps[1]:.3f} s, {metres:.1f} m by odometry")
+    if log.mount is not None:
+        say(f"the laser on the robot: {log.mount.x:g} m, {log.mount.y:g} m, {math.degrees(log.mount.theta):g} degrees")
+    for text in log.warnings:
+        warn(text)
 
 
 def lattices() -> None:

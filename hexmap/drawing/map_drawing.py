@@ -41,7 +41,7 @@ from hexmap.maps.voxel_list import VoxelList
 if TYPE_CHECKING:
     from hexmap.poses.trajectory import Trajectory
 
-__all__ = ["SUFFIXES", "HighestCells", "check_picture", "draw_map", "highest_cells"]
+__all__ = ["SUFFIXES", "HighestCells", "check_picture", "draw_map", "draw_states", "highest_cells"]
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -92,11 +92,27 @@ def draw_map(
             more pixels than an image should have.
         FileAccessError: the file cannot be written.
     """
+    check_picture(Path(path))
+    return draw_states(map.state(rule, level), path, trajectory, dpi, title)
+
+
+def draw_states(
+    states: States,
+    path: str | os.PathLike[str],
+    trajectory: Trajectory | ArrayLike | None = None,
+    dpi: float = 200.0,
+    title: str | None = None,
+) -> Path:
+    """Draw occupied and free cells, of a level of a map or of a map of others, as :func:`draw_map` does.
+
+    Raises:
+        ArgumentError: a suffix that is not known, positions of another shape, or more pixels than an image should have.
+        FileAccessError: the file cannot be written.
+    """
     path = Path(path)
     suffix = check_picture(path)
     if not 10.0 <= dpi <= 5000.0:
         raise ArgumentError(f"a picture has 10 to 5000 pixels an inch, not {dpi:g}")
-    states = map.state(rule, level)
     positions = _trajectory_positions(trajectory)
     highest = highest_cells(states.occupied) if states.occupied.lattice.dim == 3 else None
     layout = FigureLayout.around(

@@ -37,6 +37,11 @@ def _kind(name: str, mark: bytes, advice: str = "") -> FileKind:
 ROSBAG1 = _kind("a ROS 1 bag", rb"#ROSBAG V")
 MCAP = _kind("an MCAP file", rb"\x89MCAP0\r\n")
 SQLITE = _kind("a SQLite file", rb"SQLite format 3\x00")
+CARMEN_LOG = _kind("a CARMEN log", rb"(?:[^\n]*\n)*?(?:ODOM|[FR]LASER|ROBOTLASER[12])[ \t]")
+# Its first reading comes before any reading of a CARMEN log; other lines may stand before it.
+WEAN_LOG = _kind(
+    "a log of Wean Hall", rb"(?:(?!(?:ODOM|[FR]LASER|ROBOTLASER[12])[ \t])[^\n]*\n)*?[OL][ \t]+[-+.]?[0-9]"
+)
 
 # Points. A PCD file may begin with comments and blank lines.
 NPY = _kind("a NumPy array", rb"\x93NUMPY")
@@ -46,12 +51,14 @@ PCD = _kind(
     rb"(?:[ \t]*(?:#[^\n]*)?\r?\n)*(?:# \.PCD|VERSION[ \t]+\.?[0-9]|(?:FIELDS|COLUMNS)[ \t]+[A-Za-z_])",
 )
 
-# Maps, ours and those of others. The marks of the last three are ordinary words, which other texts may begin with.
+# Maps, ours and those of others. The marks of MovingAI and Warframe maps and of scenarios are ordinary words, which
+# other texts may begin with.
 PARQUET = _kind("a Parquet file", rb"PAR1")
 FULL_OCTOMAP = _kind("a full OctoMap", rb"# Octomap OcTree file")
 OCTOMAP = _kind("an OctoMap", rb"# Octomap")
 MOVINGAI = _kind("a MovingAI map", rb"type ")
 WARFRAME = _kind("a Warframe map", rb"voxel ")
+WEAN_MAP = _kind("a map of Wean Hall", rb"robot_specifications->|global_map\[")
 SCENARIO = _kind("a scenario", rb"version ")
 
 # Pictures.

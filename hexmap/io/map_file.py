@@ -11,11 +11,13 @@ be compared by their checksums. Pages carry checksums, which reading verifies.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
 import platform
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -38,6 +40,8 @@ FORMAT_VERSION = 1
 _KEY = b"hexmap"
 _AXES = ("a", "b", "c")
 _MAX_LEVELS = 16
+# Rows of a row group, pyarrow's default; other readers see no difference, but files stay the same byte for byte.
+_GROUP = 1 << 20
 
 
 def save_map(path: str | os.PathLike[str], map: Map) -> None:
@@ -66,32 +70,62 @@ def save_map(path: str | os.PathLike[str], map: Map) -> None:
     import pyarrow.parquet as pq
 
     axes = _AXES[: map.lattice.dim]
-    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("level", *axes, "hits", "passes")}
-    for k, level in enumerate(map.levels):
-        keys, hits, passes = level.columns()
-        parts["level"].append(np.full(len(keys), k, np.int32))
-        index = unpack(keys, map.lattice.dim)
-        for i, axis in enumerate(axes):
-            parts[axis].append(index[:, i])
-        parts["hits"].append(hits)
-        parts["passes"].append(passes)
-    fields = [pa.field(name, pa.from_numpy_dtype(columns[0].dtype), nullable=False) for name, columns in parts.items()]
+    types = {"level": np.int32, **dict.fromkeys(axes, np.int32), "hits": np.int64, "passes": np.int64}
+    fields = [pa.field(name, pa.from_numpy_dtype(dtype), nullable=False) for name, dtype in types.items()]
     header = _describe(map)
-    text = _encode({**header, "crc32": zlib.crc32(_encode(header))})
-    table = pa.table(
-        {name: np.concatenate(columns) for name, columns in parts.items()},
-        schema=pa.schema(fields, metadata={_KEY: text}),
-    )
-    with atomic_write(path) as handle:
+    schema = pa.schema(fields, metadata={_KEY: _encode({**header, "crc32": zlib.crc32(_encode(header))})})
+    with (
+        atomic_write(path) as handle,
         # Sorted indices differ by small steps, which delta coding stores in a few bits; counts repeat.
-        pq.write_table(
-            table,
+        pq.ParquetWriter(
             handle,
+            schema,
             compression="zstd",
             use_dictionary=["level", "hits", "passes"],
             column_encoding=dict.fromkeys(axes, "DELTA_BINARY_PACKED"),
             write_page_checksum=True,
-        )
+        ) as writer,
+    ):
+        for columns in _row_groups(map):
+            writer.write_table(pa.table(columns, schema=schema))
+
+
+def _row_groups(map: Map) -> Iterator[list[NDArray[Any]]]:
+    """Yield the columns of the file, so many rows at a time: a large map would take three times its memory at once."""
+    waiting: list[list[NDArray[Any]]] = []
+    count = rows = 0
+    for k, level in enumerate(map.levels):
+        for part in _parts(level):
+            keys, hits, passes = part.columns()
+            index = unpack(keys, map.lattice.dim)
+            columns = [np.full(len(keys), k, np.int32), *index.T, hits, passes]
+            while count + len(columns[0]) >= _GROUP:
+                cut = _GROUP - count
+                yield _joined([*waiting, [c[:cut] for c in columns]])
+                waiting, count, columns = [], 0, [c[cut:] for c in columns]
+                rows += _GROUP
+            waiting.append(columns)
+            count += len(columns[0])
+    # A map without a cell has one group of no rows.
+    if count or not rows:
+        yield _joined(waiting)
+
+
+def _joined(pieces: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
+    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
+
+
+def _parts(level: Level) -> Iterator[Level]:
+    """Yield a level in parts of neighbouring cells, of about a quarter of a row group."""
+    longer = level.passes.keys if len(level.passes) > len(level.hits) else level.hits.keys
+    starts = longer[_GROUP // 4 :: _GROUP // 4]
+
+    def cut(cells: VoxelList) -> Iterator[VoxelList]:
+        ends = [0, *np.searchsorted(cells.keys, starts).tolist(), len(cells)]
+        for begin, end in itertools.pairwise(ends):
+            yield VoxelList(cells.lattice, cells.keys[begin:end], cells.counts[begin:end])
+
+    yield from (Level(h, p) for h, p in zip(cut(level.hits), cut(level.passes), strict=True))
 
 
 def load_map(path: str | os.PathLike[str]) -> Map:

@@ -14,7 +14,7 @@ from hexmap.base.errors import FileAccessError, FormatError, TooLargeError
 from hexmap.base.text import reason
 from hexmap.io.file_kinds import GZIP
 
-__all__ = ["CHUNK", "GzipError", "cannot_read", "inflated", "read_file"]
+__all__ = ["CHUNK", "GzipError", "beginning", "cannot_read", "inflated", "read_file"]
 
 CHUNK = 1 << 16  # bytes that are read and inflated at a time
 _GZIP_WINDOW = 31  # tells zlib that a gzip header and checksum surround the data
@@ -60,6 +60,16 @@ def read_file(path: Path, limit: int | None = None) -> bytes:
     if not data:
         raise FormatError(f"{path}: the file is empty")
     return data
+
+
+def beginning(path: Path) -> bytes:
+    """Return how a file begins, decompressed where it is gzip; nothing where that cannot be read."""
+    try:
+        with open(path, "rb") as handle:
+            head = handle.read(CHUNK)
+        return next(inflated([head]), b"") if GZIP.begins(head) else head
+    except (OSError, ValueError):  # a GzipError is one, and a path with a null character
+        return b""
 
 
 def _decompressed(path: Path, data: bytes, limit: int | None) -> bytes:

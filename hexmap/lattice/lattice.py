@@ -81,6 +81,30 @@ class RayTables(NamedTuple):
     products: FloatArray
 
 
+class QuantiserTables(NamedTuple):
+    """What the quantiser's kernels take (``hexmap/lattice/_kernels.py``), for kernels that quantise on their way.
+
+    Attributes:
+        inverse: (n, n) of the reduced basis.
+        gram2: (n, n) twice its Gram matrix.
+        constants: (2^n,) of the corners of the unit cube.
+        extra: (K, n) further candidates.
+        extra_constants: (K,) theirs.
+        to_public: (n, n) from indices of the reduced basis to those of the public one.
+        limit: indices are smaller than this in absolute value.
+        to_reduced: (n, n) int64, the other way.
+    """
+
+    inverse: FloatArray
+    gram2: FloatArray
+    constants: FloatArray
+    extra: FloatArray
+    extra_constants: FloatArray
+    to_public: FloatArray
+    limit: float
+    to_reduced: NDArray[np.int64]
+
+
 class Cell:
     """The Voronoi cell of a lattice point, around the origin.
 
@@ -338,6 +362,11 @@ class Lattice:
     def reduced_index(self, index: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
         """Return indices (N, n) of the public basis in the reduced one."""
         return np.asarray(index.astype(np.int64) @ self._to_reduced.T)
+
+    @cached_property
+    def quantiser_tables(self) -> QuantiserTables:
+        """What kernels need that quantise points on their way."""
+        return QuantiserTables(*self._kernel_arguments, np.ascontiguousarray(self._to_reduced))
 
     @cached_property
     def ray_tables(self) -> RayTables:

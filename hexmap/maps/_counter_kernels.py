@@ -1,22 +1,54 @@
 """Numba kernels of the growing grid: dense tiles of counts, found by an open-addressing hash table.
 
-Scans hit the same few thousand cells again and again; adding them to a tile is one array access,
-where merging sorted lists would touch the whole map for every scan. A tile holds ``1 << (n * bits)``
-cells of two channels (hits and passes).
+Scans hit the same few thousand cells again and again; adding them to a tile is one array access, where merging sorted
+lists would touch the whole map for every scan. A tile holds ``1 << (n * bits)`` cells, hits and passes of a cell side
+by side: whoever changes one of them asks for both, to see whether the cell's state has changed.
+
+The quantiser and the walk along a ray are the lattice's (``hexmap/lattice/_kernels.py`` and ``_ray_kernels.py``). Numba
+does not notice when those are edited: delete the caches then (``make clean``).
 """
 
 # mypy: ignore-errors
 # Numba gives the kernels their types.
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
+from hexmap.lattice._kernels import quantise_2d, quantise_3d
+from hexmap.lattice._ray_kernels import count_bound, traverse
+
 EMPTY = np.int64(-(2**63))
+# Rays that are walked before their cells are counted: few, so that the cells are still in the processor's cache.
+CHUNK = 16
+SCALE = 4294967296.0
+
+
+class TileArrays(NamedTuple):
+    """The tiles of a counter.
+
+    Attributes:
+        table: (K,) int64 keys of tiles, ``EMPTY`` where there is none; K is a power of two.
+        numbers: (K,) int64 which tile has that key.
+        corners: (T, 3) int64 the coordinates of each tile.
+        tiles: (T, cells, 2) int32 or int64, hits and passes.
+        journal: (J,) int64 room for the cells (tile * cells + cell) that have hits and were changed; (0,) where nobody
+            wants to know.
+        bits: a tile has 2^bits cells along each axis.
+    """
+
+    table: np.ndarray
+    numbers: np.ndarray
+    corners: np.ndarray
+    tiles: np.ndarray
+    journal: np.ndarray
+    bits: int
 
 
 @njit(cache=True, nogil=True)
-def _slot(table, key):
+def slot(table, key):
     """Return the slot of ``key`` in the table, or the free one where it belongs."""
     # Fibonacci hashing: the product spreads neighbouring tiles, whose keys differ in a few low bits, over the table.
     # At most half of the slots are taken, so that the walk to a free one is short and always ends.
@@ -29,8 +61,8 @@ def _slot(table, key):
 
 
 @njit(cache=True, nogil=True)
-def _tile_key(a, b, c, n):
-    """Return the packed key of a tile, as :func:`hexmap.lattice.keys.pack` packs cells."""
+def cell_key(a, b, c, n):
+    """Return the packed key of a cell or a tile, as :func:`hexmap.lattice.keys.pack` packs cells."""
     if n == 2:
         return (a << np.int64(32)) + b + np.int64(2147483648)
     return ((a + 1048576) << np.int64(42)) | ((b + 1048576) << np.int64(21)) | (c + 1048576)
@@ -42,26 +74,30 @@ def rehash(table, numbers, new_table, new_numbers):
     # The mask is part of the hash, so every key has another slot there; tiles stay where they are.
     for i in range(table.shape[0]):
         if table[i] != EMPTY:
-            at = _slot(new_table, table[i])
+            at = slot(new_table, table[i])
             new_table[at] = table[i]
             new_numbers[at] = numbers[i]
 
 
 @njit(cache=True, nogil=True)
-def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
-    """Count the cells ``index[begin:]`` into ``channel``; stops where one more tile does not fit.
+def add(arrays, index, begin, stop, channel, used, noted, most):
+    """Count the cells ``index[begin:stop]`` into ``channel``; stops where a tile, a count or a note does not fit.
 
-    Returns the row it stopped at and the number of tiles in use; the caller makes room and calls
-    again. ``corners`` (T, 3) remembers each tile's coordinates.
+    Returns:
+        The row it stopped at, the number of tiles in use and the number of notes in the journal; the caller makes room
+        and calls again. ``most`` is the largest count that a cell can hold.
     """
+    table, numbers, corners, tiles, journal = arrays.table, arrays.numbers, arrays.corners, arrays.tiles, arrays.journal
+    bits = arrays.bits
     n = index.shape[1]
+    cells = tiles.shape[1]
     side = np.int64(1) << bits
     low = side - 1
     room = min(tiles.shape[0], table.shape[0] // 2)
     last_key = EMPTY
     last = np.int64(-1)
     c = np.int64(0)
-    for i in range(begin, index.shape[0]):
+    for i in range(begin, stop):
         a = np.int64(index[i, 0])
         b = np.int64(index[i, 1])
         # The lower bits of an index say where in its tile the cell is, the upper ones which tile; below zero, too.
@@ -71,14 +107,14 @@ def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
             c = np.int64(index[i, 2])
             inner = (inner << bits) | (c & low)
             tc = c >> bits
-        key = _tile_key(a >> bits, b >> bits, tc, n)
+        key = cell_key(a >> bits, b >> bits, tc, n)
         # Beams and walls stay in a tile for several cells: most cells need no look-up.
         if key != last_key:
-            at = _slot(table, key)
+            at = slot(table, key)
             if table[at] == EMPTY:
                 # Nothing of this cell is counted yet, so the caller can make room and begin with it again.
                 if used >= room:
-                    return i, used
+                    return i, used, noted
                 table[at] = key
                 numbers[at] = used
                 corners[used, 0] = a >> bits
@@ -87,48 +123,132 @@ def add(index, begin, channel, bits, table, numbers, corners, tiles, used):
                 used += 1
             last = numbers[at]
             last_key = key
-        tiles[last, channel, inner] += 1
-    return index.shape[0], used
+        if tiles[last, inner, channel] >= most:
+            return i, used, noted
+        # A cell without hits is not occupied, whatever passes through it: nothing to note.
+        if journal.shape[0] > 0 and (channel == 0 or tiles[last, inner, 0] > 0):
+            if noted >= journal.shape[0]:
+                return i, used, noted
+            journal[noted] = last * cells + inner
+            noted += 1
+        tiles[last, inner, channel] += 1
+    return stop, used, noted
 
 
 @njit(cache=True, nogil=True)
-def window(low, shape, channel, bits, table, numbers, tiles, n, out):
-    """Copy the counts of the box that begins at ``low`` into the flat array ``out`` (row-major)."""
-    # The tiles that the box touches; in the plane there is one layer of one cell.
-    side = np.int64(1) << bits
-    s2 = shape[2] if n == 3 else 1
-    a0 = low[0] >> bits
-    a1 = (low[0] + shape[0] - 1) >> bits
-    b0 = low[1] >> bits
-    b1 = (low[1] + shape[1] - 1) >> bits
-    c0 = low[2] >> bits if n == 3 else np.int64(0)
-    c1 = (low[2] + shape[2] - 1) >> bits if n == 3 else np.int64(0)
-    depth = side if n == 3 else np.int64(1)
-    for ta in range(a0, a1 + 1):
-        for tb in range(b0, b1 + 1):
-            for tc in range(c0, c1 + 1):
-                at = _slot(table, _tile_key(ta, tb, tc, n))
-                # A tile that was never made has only zeros, which ``out`` holds already.
-                if table[at] == EMPTY:
-                    continue
-                t = numbers[at]
-                # Its cells, less those that stand out of the box.
-                for i in range(side):
-                    x = (ta << bits) + i - low[0]
-                    if x < 0 or x >= shape[0]:
-                        continue
-                    for j in range(side):
-                        y = (tb << bits) + j - low[1]
-                        if y < 0 or y >= shape[1]:
-                            continue
-                        for k in range(depth):
-                            z = (tc << bits) + k - low[2] if n == 3 else np.int64(0)
-                            if z < 0 or z >= s2:
-                                continue
-                            inner = (i << bits) | j
-                            if n == 3:
-                                inner = (inner << bits) | k
-                            out[(x * shape[1] + y) * s2 + z] = tiles[t, channel, inner]
+def find(arrays, index, channel, out):
+    """Write the counts of the cells ``index`` (M, n); ``out`` (M,) holds zeros."""
+    bits = arrays.bits
+    n = index.shape[1]
+    low = (np.int64(1) << bits) - 1
+    for m in range(index.shape[0]):
+        a = np.int64(index[m, 0])
+        b = np.int64(index[m, 1])
+        c = np.int64(index[m, 2]) if n == 3 else np.int64(0)
+        key = cell_key(a >> bits, b >> bits, c >> bits, n)
+        at = slot(arrays.table, key)
+        if arrays.table[at] == key:
+            inner = ((a & low) << bits) | (b & low)
+            if n == 3:
+                inner = (inner << bits) | (c & low)
+            out[m] = arrays.tiles[arrays.numbers[at], inner, channel]
+
+
+@njit(cache=True, nogil=True)
+def _quantise(points, q, out):
+    """Write the nearest lattice points; returns how many are out of range."""
+    if points.shape[1] == 2:
+        return quantise_2d(
+            points, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, out
+        )
+    return quantise_3d(points, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, out)
+
+
+@njit(cache=True, nogil=True)
+def _coordinate(points, r, i, inverse):
+    """Return a reduced coordinate, as :meth:`hexmap.lattice.lattice.Lattice.coordinates` does, bit for bit."""
+    u = points[r, 0] * inverse[i, 0]
+    for k in range(1, points.shape[1]):
+        u += points[r, k] * inverse[i, k]
+    return np.rint(u * SCALE) / SCALE
+
+
+@njit(cache=True, nogil=True)
+def fuse(arrays, quantiser, faces, origin, ends, hits, chunk, row, used, noted, most, most_cells):
+    """Count a scan: a hit at each of the first ``hits`` of ``ends`` (R, n), a pass in all cells before it.
+
+    The other rays ended in nothing: all their cells are passed.
+
+    Args:
+        arrays: the tiles.
+        quantiser: :class:`hexmap.lattice.lattice.QuantiserTables`.
+        faces: :class:`hexmap.lattice.lattice.RayTables`.
+        origin: (1, n) where the rays begin, metres.
+        ends: (R, n) metres.
+        hits: how many of them were hit.
+        chunk: the first ray of the chunk to go on with, 0 at the beginning.
+        row: how many cells of that chunk are counted already.
+        used: tiles in use.
+        noted: notes in the journal.
+        most: the largest count that a cell can hold.
+        most_cells: the rays of either kind may pass this many cells.
+
+    Returns:
+        Rows out of range (nothing is counted then), the most cells that the rays may pass, where too many (nothing is
+        counted then), and chunk, row, used and noted to go on with, once there is room; chunk is R when all is done.
+    """
+    n = origin.shape[1]
+    rays = ends.shape[0]
+    first = np.empty((rays + 1, n), np.int32)
+    last = np.empty((rays, n), np.int32)
+    bad = _quantise(ends, quantiser, last) + _quantise(origin, quantiser, first[rays:])
+    if bad > 0:
+        return bad, 0, chunk, row, used, noted
+    # The traversal takes a start for each ray; all of ours are the same.
+    start = np.empty((rays, n))
+    end = np.empty((rays, n))
+    offset = np.empty((rays, n))
+    for i in range(n):
+        reduced = np.int64(0)
+        for k in range(n):
+            reduced += quantiser.to_reduced[i, k] * np.int64(first[rays, k])
+        u = _coordinate(origin, 0, i, quantiser.inverse)
+        for r in range(rays):
+            first[r, i] = first[rays, i]
+            start[r, i] = u
+            offset[r, i] = u - reduced
+            end[r, i] = _coordinate(ends, r, i, quantiser.inverse)
+    room = count_bound(start, end, faces)
+    total = max(room[:hits].sum(), room[hits:].sum())
+    if total > most_cells:
+        return 0, total, chunk, row, used, noted
+    largest = np.int64(0)
+    for begin in range(0, rays, CHUNK):
+        largest = max(largest, room[begin : begin + CHUNK].sum())
+    cells = np.empty((largest, n), np.int32)
+    stops = np.empty(CHUNK, np.int64)
+    while chunk < rays:
+        stop = min(chunk + CHUNK, rays)
+        traverse(
+            start[chunk:stop], end[chunk:stop], offset[chunk:stop], first[chunk:stop], last[chunk:stop], faces,
+            room[chunk:stop], cells, stops,
+        )  # fmt: skip
+        # ``row`` counts what of this chunk was counted before there was no room: the walk is the same every time.
+        begin = np.int64(0)
+        for r in range(stop - chunk):
+            hit = 1 if chunk + r < hits else 0
+            edge = stops[r] - hit
+            if row < edge:
+                row, used, noted = add(arrays, cells, max(row, begin), edge, 1, used, noted, most)
+                if row < edge:
+                    return 0, 0, chunk, row, used, noted
+            if hit == 1 and row < stops[r]:
+                row, used, noted = add(arrays, cells, edge, stops[r], 0, used, noted, most)
+                if row < stops[r]:
+                    return 0, 0, chunk, row, used, noted
+            begin = stops[r]
+        chunk, row = stop, np.int64(0)
+    return 0, 0, chunk, row, used, noted
 
 
 @njit(cache=True, nogil=True)
@@ -136,28 +256,78 @@ def count_cells(channel, tiles, used):
     """Return how many cells of ``channel`` are not zero."""
     m = 0
     for t in range(used):
-        for i in range(tiles.shape[2]):
-            if tiles[t, channel, i] > 0:
+        for i in range(tiles.shape[1]):
+            if tiles[t, i, channel] > 0:
                 m += 1
     return m
 
 
 @njit(cache=True, nogil=True)
-def cells(channel, bits, corners, tiles, used, n, index, counts):
-    """Write the index and the count of every cell of ``channel`` that is not zero, tile by tile; returns how many."""
-    mask = (1 << bits) - 1
+def _end_of_group(order, corners, begin, stop, axis):
+    """Return where the tiles that share a coordinate with the one at ``begin`` end."""
+    end = begin
+    while end < stop and corners[order[end], axis] == corners[order[begin], axis]:
+        end += 1
+    return end
+
+
+@njit(cache=True, nogil=True)
+def sorted_cells(channel, arrays, order, n, keys, counts):
+    """Write the keys and the counts of all cells of ``channel`` that are not zero, in ascending order.
+
+    ``order`` (T,) are the tiles by their coordinates. No sorting: the cells of tiles that share the first coordinate
+    are visited row by row across all of them.
+    """
+    corners, tiles, bits = arrays.corners, arrays.tiles, arrays.bits
+    side = np.int64(1) << bits
+    depth = side if n == 3 else np.int64(1)
     m = 0
-    for t in range(used):
-        for i in range(tiles.shape[2]):
-            if tiles[t, channel, i] > 0:
-                # The index again: the tile's coordinates above, the bits of the place in the tile below.
-                if n == 2:
-                    index[m, 0] = (corners[t, 0] << bits) + (i >> bits)
-                    index[m, 1] = (corners[t, 1] << bits) + (i & mask)
-                else:
-                    index[m, 0] = (corners[t, 0] << bits) + (i >> (2 * bits))
-                    index[m, 1] = (corners[t, 1] << bits) + ((i >> bits) & mask)
-                    index[m, 2] = (corners[t, 2] << bits) + (i & mask)
-                counts[m] = tiles[t, channel, i]
-                m += 1
+    begin = 0
+    while begin < order.shape[0]:
+        # All tiles of one first coordinate; in them one layer of cells after the other.
+        end = _end_of_group(order, corners, begin, order.shape[0], 0)
+        for i in range(side):
+            a = begin
+            while a < end:
+                # Of those all of one second coordinate; in the plane there is only one.
+                b = _end_of_group(order, corners, a, end, 1)
+                for j in range(side):
+                    for s in range(a, b):
+                        t = order[s]
+                        for k in range(depth):
+                            inner = (i << bits) | j
+                            if n == 3:
+                                inner = (inner << bits) | k
+                            count = tiles[t, inner, channel]
+                            if count > 0:
+                                x = (corners[t, 0] << bits) + i
+                                y = (corners[t, 1] << bits) + j
+                                z = (corners[t, 2] << bits) + k if n == 3 else np.int64(0)
+                                keys[m] = cell_key(x, y, z, n)
+                                counts[m] = count
+                                m += 1
+                a = b
+        begin = end
+    return m
+
+
+@njit(cache=True, nogil=True)
+def noted_cells(arrays, noted, n, index, counts):
+    """Write index, hits and passes of the cells in the journal; returns how many, each once."""
+    cells = arrays.tiles.shape[1]
+    bits = arrays.bits
+    mask = (1 << bits) - 1
+    # Sorted, so that a cell that was changed many times stands together.
+    order = np.sort(arrays.journal[:noted])
+    m = 0
+    for r in range(noted):
+        if r > 0 and order[r] == order[r - 1]:
+            continue
+        t = order[r] // cells
+        i = order[r] % cells
+        for a in range(n):
+            index[m, a] = (arrays.corners[t, a] << bits) + ((i >> (bits * (n - 1 - a))) & mask)
+        counts[m, 0] = arrays.tiles[t, i, 0]
+        counts[m, 1] = arrays.tiles[t, i, 1]
+        m += 1
     return m

@@ -84,8 +84,6 @@ class MapBuilder:
             raise ArgumentError(
                 f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
             )
-        from hexmap.lattice.rays import traverse
-
         if not np.isfinite(scan.points).all():
             self.lattice.quantise(scan.points)  # raises, naming the row
         ranges = np.sqrt((scan.points**2).sum(axis=1))
@@ -95,23 +93,30 @@ class MapBuilder:
         if self._clear_no_return > 0.0 and len(scan.no_return):
             reach = min(self._clear_no_return, self._max_range)
             cleared = np.concatenate([cleared, scan.no_return * reach])
-        ends = T_map_scan.apply(scan.points[hit])
-        open_ends = T_map_scan.apply(cleared)
-        origin = T_map_scan.translation
-        additions = []
+        points = scan.points[hit]
+        ends = T_map_scan.apply(np.concatenate([points, cleared]) if len(cleared) else points)
+        # The finest level first: what is in range there and not too much is so on all levels, and if it is not, nothing
+        # has been counted yet.
         for counter in self._counters:
-            lattice = counter.lattice
-            through = traverse(lattice, np.broadcast_to(origin, ends.shape), ends).without_ends()
-            opened = traverse(lattice, np.broadcast_to(origin, open_ends.shape), open_ends).index
-            additions.append((counter, lattice.quantise(ends), through, opened))
-        for counter, hits, through, opened in additions:
-            counter.add(hits, HITS)
-            counter.add(through, PASSES)
-            counter.add(opened, PASSES)
+            counter.fuse(T_map_scan.translation, ends, len(points))
         self.scans += 1
 
-    def build(self, frame: str = "map", source: Mapping[str, Any] | None = None) -> Map:
-        """Return the map of all scans fused so far; ``source`` says where they came from."""
-        levels = [Level(c.to_list(HITS), c.to_list(PASSES)) for c in self._counters]
+    def build(self, frame: str = "map", source: Mapping[str, Any] | None = None, *, finish: bool = False) -> Map:
+        """Return the map of all scans fused so far.
+
+        Args:
+            frame: name of the frame of the coordinates.
+            source: where the scans came from.
+            finish: whether that was all: then the builder is empty afterwards, and its memory is given back level by
+                level, so that a large map is not in it twice.
+        """
+        levels = []
+        for k, counter in enumerate(self._counters):
+            levels.append(Level(counter.to_list(HITS), counter.to_list(PASSES)))
+            if finish:
+                self._counters[k] = CellCounter(counter.lattice)
+                del counter
+        if finish:
+            self.scans = 0
         provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
         return Map(levels, frame, provenance)

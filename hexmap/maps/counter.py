@@ -1,39 +1,59 @@
 """A grid of counts that grows where it is written: what a map is before it is finished.
 
-:class:`CellCounter` is the only mutable thing on the way from scans to a map. It serves the map
-builder, which adds hits and passes, and the scan matcher, which asks for the counts of a box.
+:class:`CellCounter` is the only mutable thing on the way from scans to a map. It serves the map builder, which adds
+scans, and whoever follows it: a scan matcher that keeps the occupied cells of the growing map.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
+from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import TooLargeError
-from hexmap.lattice.keys import pack
 from hexmap.lattice.lattice import Lattice
-from hexmap.lattice.window import IndexBox
+from hexmap.lattice.rays import MAX_CELLS, traverse
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["HITS", "PASSES", "CellCounter"]
+__all__ = ["HITS", "PASSES", "CellCounter", "Follower"]
 
 HITS, PASSES = 0, 1
-MAX_WINDOW = 1 << 25  # cells of a dense window: 0.25 GiB a channel
 _BITS = {2: 4, 3: 3}  # tiles of 16 x 16 or 8 x 8 x 8 cells
+_EMPTY = -(2**63)
+_TILES = 64
+_JOURNAL = 4096
+
+Follower: TypeAlias = Callable[[IntArray, IntArray], None]
 
 
 class CellCounter:
-    """Counts of hits and passes by lattice point, int64, in tiles made when they are first needed."""
+    """Counts of hits and passes by lattice point, in tiles made when they are first needed.
+
+    A count takes four bytes until one of them is full, then all take eight: they never wrap.
+    """
 
     def __init__(self, lattice: Lattice) -> None:
         """Make an empty counter on ``lattice``."""
+        from hexmap.maps import _counter_kernels as kernels
+
         self.lattice = lattice
-        self._bits = _BITS[lattice.dim]
-        self._table = np.full(1024, -(2**63), np.int64)
-        self._numbers = np.zeros(1024, np.int64)
-        self._tiles = np.zeros((64, 2, 1 << (self._bits * lattice.dim)), np.int64)
-        self._corners = np.zeros((64, 3), np.int64)
+        bits = _BITS[lattice.dim]
+        self._arrays = kernels.TileArrays(
+            np.full(1024, _EMPTY, np.int64),
+            np.zeros(1024, np.int64),
+            np.zeros((_TILES, 3), np.int64),
+            np.zeros((_TILES, 1 << (bits * lattice.dim), 2), np.int32),
+            np.empty(0, np.int64),
+            bits,
+        )
         self._used = 0
+        self._noted = 0
+        self._followers: list[Follower] = []
+
+    # ------------------------------------------------------------------ counting
 
     def add(self, index: NDArray[np.int32], channel: int = HITS) -> None:
         """Count each of the cells ``index`` (N, n), which may repeat, once."""
@@ -41,61 +61,120 @@ class CellCounter:
 
         row = 0
         while row < len(index):
-            row, self._used = kernels.add(
-                index, row, channel, self._bits, self._table, self._numbers, self._corners, self._tiles, self._used
+            row, self._used, self._noted = kernels.add(
+                self._arrays, index, row, len(index), channel, self._used, self._noted, self._most
             )
             if row < len(index):
-                self._grow()
+                self._make_room()
+        self._tell()
 
-    def _grow(self) -> None:
-        """Make room for more tiles, and for their keys where the table is half full."""
-        from hexmap.maps import _counter_kernels as kernels
+    def fuse(self, origin: FloatArray, ends: FloatArray, hits: int) -> None:
+        """Count a scan: hits at the ends of its rays, passes in the cells before them.
 
-        if self._used >= len(self._tiles):
-            # Half as much again: doubling would cost twice the memory of the map at the worst moment.
-            more = max(64, len(self._tiles) // 2)
-            tiles = np.zeros((len(self._tiles) + more, *self._tiles.shape[1:]), np.int64)
-            tiles[: self._used] = self._tiles[: self._used]
-            corners = np.zeros((len(tiles), 3), np.int64)
-            corners[: self._used] = self._corners[: self._used]
-            self._tiles, self._corners = tiles, corners
-        if self._used >= len(self._table) // 2:
-            table = np.full(2 * len(self._table), -(2**63), np.int64)
-            numbers = np.zeros(2 * len(self._table), np.int64)
-            kernels.rehash(self._table, self._numbers, table, numbers)
-            self._table, self._numbers = table, numbers
-
-    def window(self, low: NDArray[np.int64], shape: NDArray[np.int64], channel: int = HITS) -> NDArray[np.int64]:
-        """Return the counts in the box of ``shape`` (n,) cells from the index ``low`` (n,) on, as a dense array.
+        Args:
+            origin: (n,) where the rays begin, metres.
+            ends: (R, n) where they end, metres.
+            hits: the first so many rays hit what is at their end; the others only cleared their cells, all of them.
 
         Raises:
-            TooLargeError: the box holds more than :data:`MAX_WINDOW` cells.
+            BoundsError: an end is not finite or out of range; nothing is counted then.
+            TooLargeError: the rays pass too many cells for one scan; nothing is counted then.
         """
         from hexmap.maps import _counter_kernels as kernels
 
-        box = IndexBox(np.asarray(low, np.int64), np.asarray(shape, np.int64))
-        size = box.size
-        if size > MAX_WINDOW:
-            raise TooLargeError(
-                f"a window of {size:,} cells at resolution {self.lattice.resolution:g} m is more than {MAX_WINDOW:,}; "
-                "take a coarser resolution or a shorter maximum range"
-            )
-        out = np.zeros(size, np.int64)
-        if out.size:
-            kernels.window(
-                box.low, box.shape, channel, self._bits,
-                self._table, self._numbers, self._tiles, self.lattice.dim, out,
+        rays = len(ends)
+        start = np.ascontiguousarray(origin[None])
+        tables, faces = self.lattice.quantiser_tables, self.lattice.ray_tables
+        chunk = row = 0
+        while chunk < rays:
+            bad, total, chunk, row, self._used, self._noted = kernels.fuse(
+                self._arrays, tables, faces, start, ends, hits, chunk, row, self._used, self._noted, self._most,
+                MAX_CELLS,
             )  # fmt: skip
-        return out.reshape(box.dims)
+            if bad or total:
+                # The same rays once more, for the sake of the message.
+                for some in (ends[:hits], ends[hits:]):
+                    traverse(self.lattice, np.broadcast_to(origin, some.shape), some)
+                raise TooLargeError(f"rays of up to {total:,} cells are more than {MAX_CELLS:,}")
+            if chunk < rays:
+                self._make_room()
+        self._tell()
+
+    @property
+    def bytes_a_count(self) -> int:
+        """4, or 8 once a count needed more."""
+        return int(self._arrays.tiles.dtype.itemsize)
+
+    @property
+    def _most(self) -> int:
+        return int(np.iinfo(self._arrays.tiles.dtype).max)
+
+    def _make_room(self) -> None:
+        """Make room for what did not fit: tiles, their keys, the notes, or a count."""
+        from hexmap.maps import _counter_kernels as kernels
+
+        a = self._arrays
+        if len(a.journal) and self._noted >= len(a.journal):
+            journal = np.empty(2 * len(a.journal), np.int64)
+            journal[: self._noted] = a.journal[: self._noted]
+            self._arrays = a._replace(journal=journal)
+        elif self._used >= len(a.tiles):
+            # An array of this size grows in place, without a copy; an eighth more keeps the spare memory small.
+            count = self._used + max(_TILES, self._used // 8)
+            a.tiles.resize((count, *a.tiles.shape[1:]), refcheck=False)
+            a.corners.resize((count, 3), refcheck=False)
+        elif self._used >= len(a.table) // 2:
+            table = np.full(2 * len(a.table), _EMPTY, np.int64)
+            numbers = np.zeros(2 * len(a.table), np.int64)
+            kernels.rehash(a.table, a.numbers, table, numbers)
+            self._arrays = a._replace(table=table, numbers=numbers)
+        else:
+            self._arrays = a._replace(tiles=a.tiles.astype(np.int64))
+
+    # ------------------------------------------------------------------ following
+
+    def follow(self, follower: Follower) -> None:
+        """Tell ``follower`` of cells whose state may have changed, after each addition, and of all there are now.
+
+        It is called with the cells (M, n) int64 that have hits and were counted, and with their hits and passes (M, 2)
+        int64 as they are then.
+        """
+        if not self._followers:
+            self._arrays = self._arrays._replace(journal=np.empty(_JOURNAL, np.int64))
+        self._followers.append(follower)
+        hits = self.to_list(HITS)
+        counts = np.stack([hits.counts, self.find(hits.index, PASSES)], axis=1)
+        if len(hits):
+            follower(hits.index.astype(np.int64), counts)
+
+    def _tell(self) -> None:
+        from hexmap.maps import _counter_kernels as kernels
+
+        if not self._noted:
+            return
+        index = np.empty((self._noted, self.lattice.dim), np.int64)
+        counts = np.empty((self._noted, 2), np.int64)
+        m = kernels.noted_cells(self._arrays, self._noted, self.lattice.dim, index, counts)
+        self._noted = 0
+        for follower in self._followers:
+            follower(index[:m], counts[:m])
+
+    # ------------------------------------------------------------------ reading
+
+    def find(self, index: NDArray[np.int32], channel: int = HITS) -> IntArray:
+        """Return the count (M,) of each of the cells ``index`` (M, n)."""
+        from hexmap.maps import _counter_kernels as kernels
+
+        out = np.zeros(len(index), np.int64)
+        kernels.find(self._arrays, np.ascontiguousarray(index), channel, out)
+        return out
 
     def to_list(self, channel: int = HITS) -> VoxelList:
         """Return the counts as a sorted, immutable list."""
         from hexmap.maps import _counter_kernels as kernels
 
-        m = kernels.count_cells(channel, self._tiles, self._used)
-        index = np.empty((m, self.lattice.dim), np.int32)
-        counts = np.empty(m, np.int64)
-        kernels.cells(channel, self._bits, self._corners, self._tiles, self._used, self.lattice.dim, index, counts)
-        keys = pack(index)
-        order = np.argsort(keys, kind="stable")
-        return VoxelList(self.lattice, keys[order], counts[order])
+        m = kernels.count_cells(channel, self._arrays.tiles, self._used)
+        keys, counts = np.empty(m, np.int64), np.empty(m, np.int64)
+        order = np.lexsort(self._arrays.corners[: self._used].T[::-1])
+        kernels.sorted_cells(channel, self._arrays, order, self.lattice.dim, keys, counts)
+        return VoxelList(self.lattice, keys, counts)

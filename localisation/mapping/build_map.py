@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
 from hexmap.io.logs.log import Log
-from hexmap.poses.scan import Scan
+from hexmap.poses.scan import Odometry
 from localisation.mapping.result import MappingResult, OnPose, PoseRecorder, Progress, UnusableScans, provenance
-from localisation.odometry.scan_odometry import FARTHEST_JUMP, ScanMapper
-from localisation.settings import MappingSettings
+from localisation.odometry.motion import FARTHEST_JUMP
+from localisation.odometry.scan_odometry import ScanOdometry
+from localisation.settings import MappingSettings, make_builder
 
 __all__ = ["build_map"]
 
@@ -39,36 +40,49 @@ def build_map(
         LogError: the log cannot be read or has no laser reading.
     """
     settings = settings or MappingSettings()
-    mapper: ScanMapper | None = None
+    builder = make_builder(settings)
+    odometry: ScanOdometry | None = None
     recorder = PoseRecorder(on_pose)
     unusable = UnusableScans(log)
+    matched = unmatched = 0
+    fractions = 0.0
     for event in log:
-        if mapper is None:
-            mapper = ScanMapper(settings, log.mount)
+        # Only once the log has been begun does it say how the laser is mounted.
+        odometry = odometry or ScanOdometry(settings, builder, log.mount)
+        if isinstance(event, Odometry):
+            recorder.add_readings(odometry.observe(event))
+            continue
         try:
-            readings = list(mapper.add(event))
+            registered = odometry.register(event)
+            builder.fuse(event, registered.T_map_scan)
         except (BoundsError, TooLargeError) as error:
             unusable.add(event, error)
             continue
-        for reading in readings:
-            recorder.add(*reading)
-        if progress is not None and isinstance(event, Scan):
-            progress(mapper.builder.scans)
-    if mapper is None:
+        recorder.add_readings(registered.readings)
+        recorder.add(event.stamp, registered.T_map_robot, True)
+        if registered.match is not None:
+            matched += 1
+            fractions += registered.match.fraction
+        elif registered.matched:
+            unmatched += 1
+        if progress is not None:
+            progress(builder.scans)
+    if odometry is None:
         raise LogError(f"{log.path}: there is no laser reading in it")
-    unusable.check(mapper.builder.scans)
-    for reading in mapper.finish():
-        recorder.add(*reading)
+    unusable.check(builder.scans)
+    recorder.add_readings(odometry.finish())
+    scans, jumps = builder.scans, odometry.jumps
+    del odometry, registered
     return MappingResult(
-        map=mapper.builder.build(source=provenance(log, settings, "scan matching")),
-        scans=mapper.builder.scans,
+        map=builder.build(source=provenance(log, settings, "scan matching"), finish=True),
+        scans=scans,
         odometry=log.odometry,
-        matched=mapper.matched,
-        unmatched=mapper.unmatched,
+        matched=matched,
+        unmatched=unmatched,
         skipped=0,
-        mean_part=mapper.part_sum / mapper.matched if mapper.matched else 0.0,
+        mean_part=fractions / matched if matched else 0.0,
         metres=recorder.metres,
-        warnings=[*log.warnings, *unusable.warnings, *_jumps(log, mapper.jumps)],
+        warnings=[*log.warnings, *unusable.warnings, *_jumps(log, jumps)],
     )
 
 
@@ -78,5 +92,3 @@ def _jumps(log: Log, count: int) -> list[str]:
     return [
         f"{log.path}: odometry jumps by more than {FARTHEST_JUMP:g} m {count} times; the last motion was used there"
     ]
-
-

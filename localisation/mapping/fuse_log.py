@@ -61,9 +61,10 @@ def fuse_log(
         raise TrajectoryError(
             f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {seen} scans of {log.path}"
         )
+    scans = builder.scans
     return MappingResult(
-        map=builder.build(source=provenance(log, settings, "given")),
-        scans=builder.scans,
+        map=builder.build(source=provenance(log, settings, "given"), finish=True),
+        scans=scans,
         odometry=log.odometry,
         matched=0,
         unmatched=0,

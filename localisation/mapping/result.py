@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,6 +79,11 @@ class PoseRecorder:
         self._on_pose = on_pose
         self._last: Pose | None = None
         self.metres = 0.0
+
+    def add_readings(self, readings: Iterable[tuple[float, Pose]]) -> None:
+        """Take stamps and poses of odometry readings, T_map_robot."""
+        for stamp, pose in readings:
+            self.add(stamp, pose, False)
 
     def add(self, stamp: float, pose: Pose, is_scan: bool) -> None:
         """Take the pose of the next reading, T_map_robot."""

@@ -3,47 +3,51 @@
 The score of a pose is the number of distinct lattice points of the rotated, quantised scan that
 coincide with occupied lattice points of the map (Ryde and Bruenig, section III). For each angle
 the scan is quantised once and then shifted by lattice vectors. All angles and shifts of a window
-around the prediction are searched by branch and bound (after Olson, "Real-time correlative scan
-matching", 2009), so that the best pose of the window is never lost; then the pose is refined
-below a cell.
+around the prediction are scored (Olson, "Real-time correlative scan matching", 2009), so that the
+best pose of the window is never lost; then the pose is refined below a cell.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hexmap.base.arrays import FloatArray
+from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError, TooLargeError
 from hexmap.lattice.lattice import Lattice
-from hexmap.lattice.window import strides
-from hexmap.maps.counter import MAX_WINDOW
 from hexmap.poses.pose import Pose
-from hexmap.poses.rotations import angles, exponential, product
+from hexmap.poses.rotations import exponential, product
 from localisation.matching.match import Match
-from localisation.matching.occupancy import Occupancy
-from localisation.matching.refinement import refine
+from localisation.matching.occupancy import BOX_SIDE, Occupancy, box_offsets
+from localisation.matching.refinement import refine_on
 from localisation.matching.search_region import SearchWindow, shifts_in_ball
 
-__all__ = ["ScanMatcher"]
+__all__ = ["LocalMatcher"]
+
+# Points times rotations of one search.
+_MOST_POINTS = 1 << 25
+# Lengths that differ by less than this fraction are the same: on A2 rounding tells equivalent shifts apart by 1e-16.
+_SAME_LENGTH = 1e-9
 
 
-class ScanMatcher:
+class LocalMatcher:
     """Matches scans against a map on any lattice.
 
     Examples:
         >>> import numpy as np
         >>> from hexmap import Lattice, Pose, VoxelList
-        >>> from localisation.matching import ListOccupancy, ScanMatcher
+        >>> from localisation.matching import LocalMatcher, Occupancy
         >>> lattice = Lattice.named("A2", resolution=0.1)
         >>> wall = np.stack([np.linspace(-2, 2, 60), np.full(60, 1.5)], axis=1)
         >>> corner = np.concatenate([wall, wall[:, ::-1]])
-        >>> world = ListOccupancy(VoxelList.from_points(corner, lattice))
+        >>> world = Occupancy.of_list(VoxelList.from_points(corner, lattice))
         >>> true = Pose.planar(0.21, -0.13, 0.1)
-        >>> match = ScanMatcher().match(true.inverse().apply(corner), Pose.identity(2), world)
+        >>> match = LocalMatcher().match(true.inverse().apply(corner), Pose.identity(2), world)
         >>> match.pose.is_close(true, metres=0.05, radians=0.03)
         True
     """
@@ -67,20 +71,26 @@ class ScanMatcher:
         grid of that step, in the ball of ``radians``.
         """
         step = self.angular_step(points, lattice)
+        steps = self._steps(points, lattice, radians)
+        if lattice.dim == 3:
+            return np.array([exponential(v) for v in steps * step])
+        c, s = np.cos(steps[:, 0] * step), np.sin(steps[:, 0] * step)
+        return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+
+    def _steps(self, points: FloatArray, lattice: Lattice, radians: float) -> IntArray:
+        """Return the rotations of the window in whole angular steps: (R, 1), or (R, 3) rotation vectors."""
+        step = self.angular_step(points, lattice)
         count = math.floor(radians / step + 1e-9)
         turns = (2 * count + 1) ** (1 if lattice.dim == 2 else 3)
-        if turns * max(len(points), 1) > MAX_WINDOW:
+        if turns * max(len(points), 1) > _MOST_POINTS:
             raise TooLargeError(
                 f"points {_farthest(points):g} m away at resolution {lattice.resolution:g} m need {turns:,} turns "
                 f"of {len(points):,} points; take a coarser resolution, a shorter maximum range or a smaller search"
             )
         if lattice.dim == 2:
-            angles = np.arange(-count, count + 1) * step
-            c, s = np.cos(angles), np.sin(angles)
-            return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-        grid = np.array(list(itertools.product(range(-count, count + 1), repeat=3)), dtype=np.float64) * step
-        grid = grid[np.sqrt((grid**2).sum(axis=1)) <= radians + 1e-9]
-        return np.array([exponential(v) for v in grid])
+            return np.arange(-count, count + 1)[:, None]
+        grid = np.array(list(itertools.product(range(-count, count + 1), repeat=3)))
+        return grid[np.sqrt((grid**2).sum(axis=1)) * step <= radians + 1e-9]
 
     def match(
         self,
@@ -90,8 +100,9 @@ class ScanMatcher:
         *,
         fine: Occupancy | None = None,
         window: SearchWindow | None = None,
+        above: int = 0,
     ) -> Match | None:
-        """Return the best pose of the window around ``predicted`` (T_map_scan), or None if nothing coincides.
+        """Return the best pose of the window around ``predicted`` (T_map_scan), or None if none scores above.
 
         Args:
             points: (P, n) the scan, in the scan's frame, metres.
@@ -99,6 +110,7 @@ class ScanMatcher:
             world: the occupied cells to search in.
             fine: the occupied cells to refine on, a finer level of the same map; ``world`` if not given.
             window: another window than the matcher's own.
+            above: only poses that score more than this are of interest; the higher, the faster.
 
         Equal scores go to the pose nearest to the prediction: the least squared shift plus the
         squared way that the turn moves the farthest point; then to the lower rotation and shift.
@@ -119,83 +131,78 @@ class ScanMatcher:
             lattice.quantise(p)  # raises, naming the row
         window = window or self.window
         turns = self.rotations(p, lattice, window.radians)
-        rotations = product(turns, predicted.rotation)
-        found = self._search(p, rotations, turns, predicted, world, window)
+        found = self._search(p, turns, predicted, world, window, above)
         if found is None:
             return None
-        searched, score, cells, scored = found
-        pose = refine(p, searched, lattice, fine or world) if self.refine else searched
-        return Match(pose, score, cells, searched, len(turns) * len(shifts_in_ball(lattice, window.metres)), scored)
+        searched, score, cells, blocks = found
+        pose, refined = searched, False
+        if self.refine:
+            refinement = refine_on(fine or world, p, searched, searched=lattice)
+            pose, refined = refinement.pose, refinement.converged
+        return Match(
+            pose=pose, searched=searched, score=score, total=cells, bound=score, refined=refined, nodes=blocks,
+            candidates=len(turns) * len(shifts_in_ball(lattice, window.metres)), overlap=score / cells,
+        )  # fmt: skip
 
     def _search(
-        self,
-        p: FloatArray,
-        rotations: FloatArray,
-        turns: FloatArray,
-        predicted: Pose,
-        world: Occupancy,
-        window: SearchWindow,
+        self, p: FloatArray, turns: FloatArray, predicted: Pose, world: Occupancy, window: SearchWindow, above: int
     ) -> tuple[Pose, int, int, int] | None:
         """Score every rotation and shift of the window; return the best pose, its score and cells, and the work."""
         from localisation.matching import _kernels as kernels
 
         lattice = world.lattice
         n = lattice.dim
-        index = lattice.quantise(_turned(p, rotations, predicted.translation))
-        # The index box of a ball of radius m is m times the lengths of the rows of the inverse basis.
-        reach = np.ceil(window.metres * np.linalg.norm(np.linalg.inv(lattice.basis), axis=1) - 1e-9).astype(np.int64)
-        width = 2 * reach + 1
-        # Top blocks of about a quarter of the window: fewer would bound too loosely, more cost more to order.
-        top = max(0, min(6, math.ceil(math.log2(float(width.max()))) - 2))
-        blocks = -(-width // (1 << top))
-        low = index.min(axis=0).astype(np.int64) - reach
-        shape = index.max(axis=0).astype(np.int64) - reach + (blocks << top) - low + 1
-        steps = strides(shape)
-        size = math.prod(int(s) for s in shape)
-        if size > MAX_WINDOW:
-            raise TooLargeError(
-                f"a scan that spans {size:,} cells at resolution {lattice.resolution:g} m is more than {MAX_WINDOW:,}; "
-                "take a coarser resolution, a shorter maximum range or a smaller search"
-            )
-        cells = world.occupied(low, shape).ravel()
-        if not cells.any():
-            return None
-        grids = np.empty((top + 1, cells.size), np.uint8)
-        grids[0] = cells
-        for level in range(top):
-            kernels.sliding_maximum(grids[level], steps, shape, 1 << level, grids[level + 1])
-        stamp = np.full(cells.size, -1, np.int32)
-        flat = np.empty(len(index), np.int64)
-        ends = np.empty(len(turns), np.int64)
-        kernels.distinct_cells(index, len(p), low, steps, stamp, flat, ends)
-        best = np.zeros(5, np.int64)
-        bounds = np.empty(len(turns) * int(np.prod(blocks)), np.int64)
-        scored = kernels.search(
-            grids, flat, ends, steps, -reach, blocks, top, lattice.basis, (window.metres * (1.0 + 1e-12)) ** 2,
-            (angles(turns) * _farthest(p)) ** 2, bounds, best,
+        rotations = product(turns, predicted.rotation)
+        # In whole steps, so that turns to the left and to the right are equally far.
+        squared = (self._steps(p, lattice, window.radians) ** 2).sum(axis=1)
+        costs = squared * (self.angular_step(p, lattice) * _farthest(p)) ** 2
+        order = np.argsort(squared, kind="stable")
+        best = np.zeros(6, np.int64)
+        taken = kernels.search(
+            world.tiles, world.bounds, world.log_step, p, predicted.translation, kernels.Turns(rotations, costs, order),
+            _blocks(lattice, window.metres), lattice.quantiser_tables, above, best,
         )  # fmt: skip
-        if best[4] == 0:
-            return None
+        if best[4] < 0:
+            for R in rotations:
+                lattice.quantise(Pose._trusted(R.copy(), predicted.translation).apply(p))  # raises, naming the row
         r = int(best[0])
+        if best[4] <= 0:
+            return None
         shift = lattice.centres(best[None, 1 : 1 + n])[0]
         pose = Pose._trusted(rotations[r].copy(), predicted.translation + shift)
-        return pose, int(best[4]), int(ends[r] - (ends[r - 1] if r else 0)), int(scored)
+        return pose, int(best[4]), int(best[5]), int(taken)
+
+
+@lru_cache(maxsize=64)
+def _blocks(lattice: Lattice, metres: float) -> Any:
+    """Return the shifts of a window in blocks of 64, and these in groups of 64."""
+    from localisation.matching import _kernels as kernels
+
+    side = BOX_SIDE[lattice.dim]
+    shifts = shifts_in_ball(lattice, metres)
+    squared = (lattice.centres(shifts) ** 2).sum(axis=1)
+    # Lengths that differ by rounding alone become one number, so that the search compares them exactly.
+    ascending = np.argsort(squared, kind="stable")
+    lengths = squared[ascending]
+    new = np.ones(len(lengths), np.bool_)
+    new[1:] = np.diff(lengths) > _SAME_LENGTH * lengths[1:]
+    squared[ascending] = lengths[np.maximum.accumulate(np.where(new, np.arange(len(lengths)), 0))]
+    low = shifts.min(axis=0)
+    block = (shifts - low) // side
+    bit = np.ravel_multi_index(tuple(((shifts - low) % side).T), (side,) * lattice.dim)
+    which, number = np.unique(block, axis=0, return_inverse=True)
+    number = number.ravel()
+    masks = np.zeros(len(which), np.uint64)
+    np.bitwise_or.at(masks, number, np.uint64(1) << bit.astype(np.uint64))
+    costs = np.full((len(which), len(box_offsets(lattice.dim))), np.inf)
+    costs[number, bit] = squared
+    # Groups of blocks that lie in a larger box of as many blocks as a block has shifts.
+    groups, group = np.unique(which // side, axis=0, return_inverse=True)
+    members = np.full((len(groups), costs.shape[1]), -1)
+    members[group.ravel(), np.ravel_multi_index(tuple((which % side).T), (side,) * lattice.dim)] = np.arange(len(which))
+    lows, wide_lows = np.ascontiguousarray(low + which * side), np.ascontiguousarray(low + groups * side * side)
+    return kernels.ShiftBlocks(lows, wide_lows, members, masks, costs)
 
 
 def _farthest(points: FloatArray) -> float:
     return math.sqrt(float((points**2).sum(axis=1).max())) if len(points) else 0.0
-
-
-def _turned(p: FloatArray, rotations: FloatArray, translation: FloatArray) -> FloatArray:
-    """Return the points (R * P, n) under each of the rotations (R, n, n), then the translation."""
-    n = p.shape[1]
-    out = np.empty((len(rotations), len(p), n))
-    for i in range(n):
-        x = rotations[:, i, 0, None] * p[:, 0]
-        for k in range(1, n):
-            x += rotations[:, i, k, None] * p[:, k]
-        x += translation[i]
-        out[:, :, i] = x
-    return out.reshape(-1, n)
-
-

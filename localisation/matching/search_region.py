@@ -1,4 +1,4 @@
-"""Where a matcher looks."""
+"""Where a matcher looks: a window around a prediction, or a region of a map."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hexmap.base.arrays import IntArray
+from hexmap.base.arrays import FloatArray, IntArray, frozen
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
+
+__all__ = ["SearchRegion", "SearchWindow", "shifts_in_ball"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,57 @@ class SearchWindow:
         """Check the limits."""
         if not (0.0 <= self.metres < math.inf and 0.0 <= self.radians <= math.pi):
             raise ArgumentError(f"not a search window: {self.metres} m, {self.radians} rad")
+
+
+@dataclass(frozen=True, eq=False)
+class SearchRegion:
+    """A region of poses T_map_scan for :class:`~localisation.matching.GlobalMatcher`.
+
+    Attributes:
+        low: (n,) lowest translation in metres; None: the whole map.
+        high: (n,) highest translation in metres; None: the whole map.
+        yaw: middle of the angles about z, radians.
+        yaw_range: how far the yaw may be from it to either side, radians; pi for all of them.
+        tilt: in space, how far the sensor's z axis may lean away from the map's, radians (about any horizontal axis).
+
+    Raises:
+        ArgumentError: one corner without the other, corners that do not make a box, or an angle out of its range.
+    """
+
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
+    yaw: float = 0.0
+    yaw_range: float = math.pi
+    tilt: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the limits."""
+        if (self.low is None) != (self.high is None):
+            raise ArgumentError("a region takes both corners or none")
+        if self.low is not None and self.high is not None:
+            low, high = frozen(self.low), frozen(self.high)
+            fits = low.shape == high.shape and low.ndim == 1
+            if not (fits and (low <= high).all() and np.isfinite([low, high]).all()):
+                raise ArgumentError(f"the corners of a region must be finite, the low one first, not {low} and {high}")
+            object.__setattr__(self, "low", low)
+            object.__setattr__(self, "high", high)
+        if not (math.isfinite(self.yaw) and 0.0 <= self.yaw_range <= math.pi and 0.0 <= self.tilt <= math.pi / 2):
+            raise ArgumentError(f"not a range of angles: {self.yaw} +- {self.yaw_range} rad, tilt {self.tilt} rad")
+
+    def box(self, lattice: Lattice) -> tuple[FloatArray, FloatArray] | None:
+        """Return the corners, or None for the whole map.
+
+        Raises:
+            ArgumentError: the corners are not of the lattice's dimension.
+        """
+        if self.low is None or self.high is None:
+            return None
+        low, high = np.asarray(self.low), np.asarray(self.high)
+        if len(low) != lattice.dim:
+            raise ArgumentError(
+                f"the corners of a region have {len(low)} numbers, the map is of dimension {lattice.dim}"
+            )
+        return low, high
 
 
 @lru_cache(maxsize=64)

@@ -3,116 +3,101 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
+from hexmap.base.arrays import FloatArray
+from hexmap.maps.builder import MapBuilder
 from hexmap.poses.pose import Pose
-from hexmap.poses.scan import Event, Odometry, Scan
-from localisation.matching.local_matcher import ScanMatcher
+from hexmap.poses.scan import Odometry, Scan
+from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.match import Match
-from localisation.matching.occupancy import CounterOccupancy
+from localisation.matching.occupancy import Occupancy
 from localisation.matching.search_region import SearchWindow
-from localisation.settings import MappingSettings, limit_of, make_builder, make_mount
+from localisation.odometry.motion import MotionPredictor
+from localisation.odometry.odometry import Reading, RegisteredScan
+from localisation.settings import MappingSettings, limit_of, make_mount
+
+__all__ = ["ScanOdometry"]
+
+# A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
+ENOUGH = 0.5
+WIDENING = (1.0, 2.0, 4.0)
+# The number of coincident cells of a scan that half agrees scatters by about a tenth (the square
+# root of some hundred cells): two and a half times that is no chance.
+CLEARLY = 1.25
 
 
-class ScanMapper:
-    """Simultaneous localisation and mapping by scan matching alone: no loop closure, no back end.
+class ScanOdometry:
+    """Odometry by scan matching alone: no loop closure, no back end.
 
-    Feed it events in the log's order; it yields the poses that became final.
+    It matches against what is in a builder and never fuses into it: the caller fuses the registered scans that the next
+    ones are to be matched against. The first scan is taken at its prediction.
+
+    Examples:
+        >>> import numpy as np
+        >>> from hexmap.poses.pose import Pose
+        >>> from hexmap.poses.scan import Scan
+        >>> from localisation.odometry import ScanOdometry
+        >>> from localisation.settings import MappingSettings, make_builder
+        >>> settings = MappingSettings()
+        >>> builder = make_builder(settings)
+        >>> odometry = ScanOdometry(settings, builder)
+        >>> along = np.linspace(-2.0, 2.0, 200)
+        >>> walls = np.concatenate([np.stack([along, np.full(200, 1.5)], 1), np.stack([np.full(200, 2.0), along], 1)])
+        >>> for truth in (Pose.identity(2), Pose.planar(0.2, 0.1, 0.05)):
+        ...     registered = odometry.register(Scan(0.0, truth.inverse().apply(walls)))
+        ...     builder.fuse(registered.scan, registered.T_map_scan)
+        >>> registered.T_map_robot.is_close(truth, metres=0.02, radians=0.01)
+        True
     """
 
-    def __init__(self, settings: MappingSettings, mount: Pose | None = None) -> None:
-        """Make a mapper; ``mount`` is T_robot_laser where the settings do not say."""
+    def __init__(self, settings: MappingSettings, builder: MapBuilder, mount: Pose | None = None) -> None:
+        """Make an odometry on the map in ``builder``; ``mount`` is T_robot_laser where the settings do not say."""
         self.settings = settings
-        self.builder = make_builder(settings)
         self.mount = make_mount(settings, mount)
-        self._matcher = ScanMatcher(SearchWindow(settings.search_metres, settings.search_radians))
-        self._coarse = CounterOccupancy(self.builder.counter(settings.search_level), settings.rule)
-        self._fine = CounterOccupancy(self.builder.counter(0), settings.rule)
-        self._T_map_robot = Pose.identity(2)
-        self._last_motion = Pose.identity(2)
-        self._T_odom_robot: Pose | None = None
-        self._waiting: list[tuple[float, Pose | None]] = []
-        self.jumps = 0
-        self.last_match: Match | None = None
-        self.matched = 0
-        self.unmatched = 0
-        self.part_sum = 0.0
+        self._builder = builder
+        self._motion = MotionPredictor(use_odometry=settings.use_odometry, mount=self.mount)
+        self._matcher = LocalMatcher(SearchWindow(settings.search_metres, settings.search_radians))
+        self._coarse = Occupancy.of_counter(builder.counter(settings.search_level), settings.rule)
+        self._fine = self._coarse
+        if settings.search_level != 0:
+            self._fine = Occupancy.of_counter(builder.counter(0), settings.rule)
 
-    def add(self, event: Event) -> Iterator[tuple[float, Pose, bool]]:
-        """Take the next event; yield stamp, T_map_robot and "is a scan" of all readings whose pose is now final.
+    @property
+    def jumps(self) -> int:
+        """Odometry readings that could not be true; the last motion was used there."""
+        return self._motion.jumps
 
-        Poses of odometry readings between two scans are final only after the second: they get
-        their share of its correction.
+    def observe(self, reading: Odometry) -> tuple[Reading, ...]:
+        """Take an odometry reading; return those that need not wait for a scan any longer: as a rule none."""
+        return self._motion.observe(reading)
+
+    def register(self, scan: Scan) -> RegisteredScan:
+        """Predict where the robot is at a scan and match the scan there.
+
+        Raises:
+            BoundsError: a point is out of range; the scan is as if it had not been.
+            TooLargeError: it sees so far that the search has too many angles; the same.
         """
-        if isinstance(event, Odometry):
-            predicted = self._predict(event.pose) if self.settings.use_odometry else None
-            self._waiting.append((event.stamp, predicted))
-            if self._T_odom_robot is None and self.settings.use_odometry:
-                self._T_odom_robot = event.pose
-            if len(self._waiting) >= 10_000:  # a log that drives on without a laser must not fill the memory
-                yield from self.finish()
-            return
-        odometry = event.odometry if self.settings.use_odometry else None
-        if odometry is not None:
-            if self._T_odom_robot is None:
-                self._T_odom_robot = odometry
-            by_wheels = self._predict(odometry)
-        else:
-            by_wheels = self._waiting[-1][1] if self._waiting else None
-        predicted = by_wheels if by_wheels is not None else self._T_map_robot @ self._last_motion
-        T_map_robot = self._match(event, predicted)
-        correction = predicted.inverse() @ T_map_robot
-        motion = self._T_map_robot.inverse() @ T_map_robot
-        for k, (stamp, pose) in enumerate(self._waiting):
-            part = (k + 1) / (len(self._waiting) + 1)
-            if pose is None:  # nothing is known but the scans before and after
-                yield stamp, self._T_map_robot @ _part_of(motion, part), False
-            else:
-                yield stamp, pose @ _part_of(correction, part), False
-        self._waiting.clear()
-        yield event.stamp, T_map_robot, True
-        self._last_motion = self._T_map_robot.inverse() @ T_map_robot
-        self._T_map_robot = T_map_robot
-        if odometry is not None:
-            self._T_odom_robot = odometry
-
-    def finish(self) -> Iterator[tuple[float, Pose, bool]]:
-        """Yield the readings after the last scan, at their predicted poses."""
-        for stamp, pose in self._waiting:
-            yield stamp, pose if pose is not None else self._T_map_robot, False
-        self._waiting.clear()
-
-    def _predict(self, odometry: Pose) -> Pose | None:
-        """Return T_map_robot of an odometry reading, carried on from the last scan; None where it cannot be true."""
-        if self._T_odom_robot is None:
-            return self._T_map_robot
-        motion = self._T_odom_robot.inverse() @ odometry
-        if math.hypot(motion.x, motion.y) > FARTHEST_JUMP:
-            self.jumps += 1
-            return None
-        return self._T_map_robot @ motion
-
-    def _match(self, scan: Scan, predicted: Pose) -> Pose:
-        """Match a scan around ``predicted`` (T_map_robot), fuse it at the pose found and return that."""
         settings = self.settings
+        predicted = T_map_robot = self._motion.predict(scan)
         ranges = np.sqrt((scan.points**2).sum(axis=1))
         usable = scan.points[(ranges >= settings.min_range) & (ranges <= limit_of(settings.max_range))]
-        T_map_robot = predicted
-        if self.builder.scans > 0 and len(usable):
+        found = None
+        matched = self._builder.scans > 0 and len(usable) > 0
+        if matched:
             found = self._search(self.mount.apply(usable), predicted)
-            self.last_match = found
-            if found is None:
-                self.unmatched += 1
-            else:
-                self.matched += 1
-                self.part_sum += found.part
+            if found is not None:
                 T_map_robot = found.pose
-        self.builder.fuse(scan, T_map_robot @ self.mount)
-        return T_map_robot
+        readings = self._motion.arrive(scan, predicted, T_map_robot)
+        return RegisteredScan(scan, T_map_robot, T_map_robot @ self.mount, readings, matched, found)
 
-    def _search(self, points: np.ndarray, predicted: Pose) -> Match | None:
+    def finish(self) -> tuple[Reading, ...]:
+        """Return the readings after the last scan, at their predicted poses."""
+        return self._motion.finish()
+
+    def _search(self, points: FloatArray, predicted: Pose) -> Match | None:
         """Match in the window; where most of the scan then disagrees with the map, look farther.
 
         Wheels that slip or a laser that skips a turn put the true pose outside any window that is
@@ -124,30 +109,9 @@ class ScanMapper:
             window = SearchWindow(
                 self.settings.search_metres * factor, min(self.settings.search_radians * factor, math.pi)
             )
-            found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
-            if found is not None and (best is None or found.score > CLEARLY * best.score):
-                best = found
-            if best is not None and best.part >= ENOUGH:
+            above = 0 if best is None else math.floor(CLEARLY * best.score)
+            found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window, above=above)
+            best = found or best
+            if best is not None and best.fraction >= ENOUGH:
                 break
         return best
-
-
-# Metres that no robot drives between a scan and the next reading: a damaged number or a reset of the odometry.
-FARTHEST_JUMP = 100.0
-
-
-# A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
-WIDENING = (1.0, 2.0, 4.0)
-
-
-ENOUGH = 0.5
-
-
-# The number of coincident cells of a scan that half agrees scatters by about a tenth (the square
-# root of some hundred cells): two and a half times that is no chance.
-CLEARLY = 1.25
-
-
-def _part_of(motion: Pose, part: float) -> Pose:
-    """Return a part (0 to 1) of a small motion of the plane."""
-    return Pose.planar(motion.x * part, motion.y * part, motion.theta * part)

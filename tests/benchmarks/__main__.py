@@ -1,9 +1,19 @@
 """``python -m tests.benchmarks``: all of them, one after the other."""
 
-from tests.benchmarks import anyangle, canonical, experiments, mapping, optimum, planning, replanning, voxels
+from tests.benchmarks import (
+    anyangle,
+    canonical,
+    experiments,
+    localisation,
+    mapping,
+    optimum,
+    planning,
+    replanning,
+    voxels,
+)
 
 voxels.main()
 mapping.main()
 experiments.main()
-for module in (planning, canonical, optimum, anyangle, replanning):
+for module in (planning, canonical, optimum, anyangle, replanning, localisation):
     module.main([])

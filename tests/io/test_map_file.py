@@ -334,16 +334,14 @@ from hexmap.lattice import Lattice
 from hexmap.maps import Level, Map
 from hexmap.maps import VoxelList
 
-write_table = pq.write_table
+write_table = pq.ParquetWriter.write_table
 
-def slow(table, handle, **options):
-    write_table(table, handle, **options)
-    handle.flush()
-    handle.truncate(handle.tell() // 2)
+def slow(writer, table):
+    write_table(writer, table)
     print("half", flush=True)
     time.sleep(60)
 
-pq.write_table = slow
+pq.ParquetWriter.write_table = slow
 lattice = Lattice.named("A2", resolution=0.1)
 cells = VoxelList.from_points(np.random.default_rng(0).uniform(-9, 9, (5000, 2)), lattice)
 save_map(sys.argv[1], Map([Level(cells, VoxelList.empty(lattice))]))
@@ -377,7 +375,7 @@ def test_a_failing_write_leaves_no_file(tmp_path: Path, hexagons: Lattice, monke
     def fail(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pq, "write_table", fail)
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", fail)
     with pytest.raises(KeyboardInterrupt):
         save_map(tmp_path / "m.parquet", empty_map(hexagons))
     assert list(tmp_path.iterdir()) == []

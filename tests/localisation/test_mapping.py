@@ -25,8 +25,10 @@ from hexmap.simulator.writer import write_log
 from localisation.evaluation import absolute_error, evaluate_relations
 from localisation.mapping.build_map import build_map
 from localisation.mapping.fuse_log import fuse_log
-from localisation.odometry.scan_odometry import ScanMapper
-from localisation.settings import MappingSettings
+from localisation.odometry.motion import FARTHEST_JUMP, MotionPredictor
+from localisation.odometry.odometry import RegisteredScan
+from localisation.odometry.scan_odometry import ScanOdometry
+from localisation.settings import MappingSettings, make_builder
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,20 @@ def run(log: Path, **settings) -> tuple:
 
     result = build_map(open_log(log), MappingSettings(**settings), on_pose=on_pose)
     return result, Trajectory.from_poses(stamps, poses), np.array(scans)
+
+
+class Mapper:
+    """Registers scans and fuses each, as :func:`build_map` does."""
+
+    def __init__(self, **settings) -> None:
+        chosen = MappingSettings(**settings)
+        self.builder = make_builder(chosen)
+        self.odometry = ScanOdometry(chosen, self.builder)
+
+    def add(self, scan: Scan) -> RegisteredScan:
+        registered = self.odometry.register(scan)
+        self.builder.fuse(scan, registered.T_map_scan)
+        return registered
 
 
 @pytest.mark.parametrize("lattice", ["A2", "Z2", [[0.05, 0.02], [0.0, 0.05]]], ids=["A2", "Z2", "own basis"])
@@ -142,12 +158,12 @@ def test_a_wrong_turn_of_the_wheels_is_found_again() -> None:
         np.stack([rng.uniform(-3, 4, 900), np.where(rng.random(900) < 0.5, -2.0, 2.5)], axis=1),
         np.stack([np.where(rng.random(900) < 0.5, -3.0, 4.0), rng.uniform(-2, 2.5, 900)], axis=1),
     ])  # fmt: skip
-    mapper = ScanMapper(MappingSettings())
-    list(mapper.add(Scan(0.0, walls, odometry=Pose.identity(2))))
+    mapper = Mapper()
+    mapper.add(Scan(0.0, walls, odometry=Pose.identity(2)))
     truth = Pose.planar(0.3, 0.1, 0.2)
     wrong = Pose.planar(0.3, 0.1, 0.2 + math.radians(60.0))
-    ((_, found, is_scan),) = mapper.add(Scan(1.0, truth.inverse().apply(walls), odometry=wrong))
-    assert is_scan and found.is_close(truth, metres=0.03, radians=0.02)
+    found = mapper.add(Scan(1.0, truth.inverse().apply(walls), odometry=wrong))
+    assert found.matched and found.T_map_robot.is_close(truth, metres=0.03, radians=0.02)
 
 
 @pytest.mark.parametrize(("better", "moves"), [(20, False), (120, True)], ids=["a little", "clearly"])
@@ -162,29 +178,69 @@ def test_a_wider_search_must_beat_the_narrower_one_clearly(better: int, moves: b
 
     here, only_away, new = ring(200, 8.0, 10.0), ring(better, 8.0, 10.0), ring(320, 20.0, 24.0)
     away = Lattice.named("A2", 0.1).centres([[8, -10]])[0]  # of the level that is searched
-    mapper = ScanMapper(MappingSettings(search_radians=0.0))
-    list(mapper.add(Scan(0.0, np.concatenate([here, here + away, only_away + away]), odometry=Pose.identity(2))))
+    mapper = Mapper(search_radians=0.0)
+    mapper.add(Scan(0.0, np.concatenate([here, here + away, only_away + away]), odometry=Pose.identity(2)))
     scan = np.concatenate([here, only_away, new])
-    ((_, found, _),) = mapper.add(Scan(1.0, scan, odometry=Pose.identity(2)))
+    found = mapper.add(Scan(1.0, scan, odometry=Pose.identity(2)))
     expected = Pose.planar(*away, 0.0) if moves else Pose.identity(2)
-    assert found.is_close(expected, metres=0.05, radians=0.01)
+    assert found.T_map_robot.is_close(expected, metres=0.05, radians=0.01)
 
 
 def test_readings_between_scans_share_the_correction() -> None:
-    mapper = ScanMapper(MappingSettings())
+    mapper = Mapper()
     rng = np.random.default_rng(1)
     walls = np.concatenate([np.stack([rng.uniform(-3, 4, 900), np.full(900, 2.0)], axis=1),
                             np.stack([np.full(900, -3.0), rng.uniform(-2, 2, 900)], axis=1)])  # fmt: skip
-    list(mapper.add(Scan(0.0, walls, odometry=Pose.identity(2))))
+    mapper.add(Scan(0.0, walls, odometry=Pose.identity(2)))
     truth = Pose.planar(0.4, 0.0, 0.0)
-    out = []
     for x in (0.1, 0.2):  # wheels that report half of the way
-        out += list(mapper.add(Odometry(0.5, Pose.planar(x / 2, 0.0, 0.0))))
-    assert out == []
-    out = list(mapper.add(Scan(1.0, truth.inverse().apply(walls), odometry=Pose.planar(0.2, 0.0, 0.0))))
-    xs = [pose.x for _, pose, _ in out]
-    assert xs == sorted(xs) and xs[-1] == pytest.approx(0.4, abs=0.03)
+        assert mapper.odometry.observe(Odometry(0.5, Pose.planar(x / 2, 0.0, 0.0))) == ()
+    found = mapper.add(Scan(1.0, truth.inverse().apply(walls), odometry=Pose.planar(0.2, 0.0, 0.0)))
+    xs = [pose.x for _, pose in found.readings]
+    assert xs == sorted(xs) and found.T_map_robot.x == pytest.approx(0.4, abs=0.03)
     assert xs[0] == pytest.approx(0.05 + 0.2 / 3, abs=0.03) and xs[1] == pytest.approx(0.1 + 0.4 / 3, abs=0.03)
+
+
+def test_registering_leaves_the_map_alone() -> None:
+    rng = np.random.default_rng(1)
+    walls = np.stack([rng.uniform(-3, 4, 900), np.full(900, 2.0)], axis=1)
+    mapper = Mapper()
+    mapper.add(Scan(0.0, walls))
+    before = mapper.builder.build()
+    first = mapper.odometry.register(Scan(1.0, walls + 0.05))
+    assert first.matched and first.match is not None
+    assert mapper.builder.build() == before
+
+
+def test_wheels_alone_are_an_odometry() -> None:
+    mount = Pose.planar(0.2, 0.0, 0.1)
+    odometry = MotionPredictor(mount=mount)
+    wheels = [Pose.planar(5.0, 1.0, 0.3), Pose.planar(5.5, 1.0, 0.4), Pose.planar(5.6, 1.1, 0.4)]
+    scans = [odometry.register(Scan(float(k), np.empty((0, 2)), odometry=pose)) for k, pose in enumerate(wheels)]
+    for registered, pose in zip(scans, wheels, strict=True):
+        assert registered.T_map_robot.is_close(wheels[0].inverse() @ pose, 1e-12, 1e-12)
+        assert registered.T_map_scan.is_close(registered.T_map_robot @ mount, 1e-12, 1e-12)
+        assert not registered.matched
+
+
+def test_a_jump_of_the_wheels_is_replaced_by_the_last_motion() -> None:
+    odometry = MotionPredictor()
+    nothing = np.empty((0, 2))
+    for k, x in enumerate((0.0, 0.3)):
+        odometry.register(Scan(float(k), nothing, odometry=Pose.planar(x, 0.0, 0.0)))
+    jumped = odometry.register(Scan(2.0, nothing, odometry=Pose.planar(0.6 + 2.0 * FARTHEST_JUMP, 0.0, 0.0)))
+    assert jumped.T_map_robot.x == pytest.approx(0.6) and odometry.jumps == 1
+    after = odometry.register(Scan(3.0, nothing, odometry=Pose.planar(0.9 + 2.0 * FARTHEST_JUMP, 0.0, 0.0)))
+    assert after.T_map_robot.x == pytest.approx(0.9) and odometry.jumps == 1
+
+
+def test_readings_without_a_scan_do_not_pile_up() -> None:
+    odometry = MotionPredictor()
+    poses = [Pose.planar(0.001 * k, 0.0, 0.0) for k in range(10_001)]
+    out = [reading for k, pose in enumerate(poses) for reading in odometry.observe(Odometry(float(k), pose))]
+    out += odometry.finish()
+    assert [stamp for stamp, _ in out] == [float(k) for k in range(len(poses))]
+    assert out[-1][1].x == pytest.approx(10.0)
 
 
 def test_settings_survive_a_round_trip_and_refuse_nonsense() -> None:

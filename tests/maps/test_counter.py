@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hexmap.base.errors import BoundsError, TooLargeError
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.rays import traverse
 from hexmap.maps.counter import HITS, PASSES, CellCounter
 from hexmap.maps.voxel_list import VoxelList
 from tests.lattices import CASES, EXAMPLES, JIT, Case
@@ -19,22 +21,13 @@ pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarn
 each = pytest.mark.parametrize("case", CASES, ids=str)
 
 
-def expected_window(counts: Counter, low: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    out = np.zeros(tuple(shape), np.int64)
-    for cell, n in counts.items():
-        at = tuple(np.subtract(cell, low))
-        if all(0 <= a < s for a, s in zip(at, shape, strict=True)):
-            out[at] = n
-    return out
-
-
 def check_list(counter: CellCounter, counts: Counter, channel: int) -> None:
     rows = [[*cell, n] for cell, n in sorted(counts.items())]
     assert counter.to_list(channel).rows().tolist() == rows
 
 
 @each
-def test_counts_lists_and_windows_equal_a_dictionary(case: Case) -> None:
+def test_counts_and_lists_equal_a_dictionary(case: Case) -> None:
     rng = np.random.default_rng(1)
     counter = CellCounter(case.lattice)
     expected: list[Counter] = [Counter(), Counter()]
@@ -45,16 +38,8 @@ def test_counts_lists_and_windows_equal_a_dictionary(case: Case) -> None:
         expected[channel].update(map(tuple, index.tolist()))
     for channel in (HITS, PASSES):
         check_list(counter, expected[channel], channel)
-        for low, shape in (
-            ([-45] * case.dim, [90] * case.dim if JIT else [50] * case.dim),
-            ([-1] * case.dim, [3] * case.dim),
-            ([-17, 5, -8][: case.dim], [33, 1, 20][: case.dim]),
-            ([1000] * case.dim, [4] * case.dim),
-        ):
-            low, shape = np.array(low), np.array(shape)
-            np.testing.assert_array_equal(
-                counter.window(low, shape, channel), expected_window(expected[channel], low, shape)
-            )
+        asked = rng.integers(-45, 45, (500, case.dim)).astype(np.int32)
+        assert counter.find(asked, channel).tolist() == [expected[channel][tuple(c)] for c in asked.tolist()]
 
 
 @each
@@ -70,9 +55,7 @@ def test_growing_over_thousands_of_tiles(case: Case) -> None:
     counts = Counter(map(tuple, np.vstack([index, index[: n // 2]]).tolist()))
     check_list(counter, counts, PASSES)
     check_list(counter, Counter(map(tuple, index[n // 2 :].tolist())), HITS)
-    for cell in index[:20]:
-        window = counter.window(cell.astype(np.int64) - 1, np.full(case.dim, 3), PASSES)
-        assert window[(1,) * case.dim] == counts[tuple(cell.tolist())]
+    assert counter.find(index, PASSES).tolist() == [counts[tuple(c)] for c in index.tolist()]
 
 
 @each
@@ -83,20 +66,12 @@ def test_the_corners_of_the_range(case: Case) -> None:
     for _ in range(3):
         counter.add(index)
     assert counter.to_list() == VoxelList.from_cells(np.repeat(index, 3, axis=0), case.lattice)
-    for cell in index:
-        assert counter.window(cell.astype(np.int64), np.ones(case.dim, np.int64)).ravel().tolist() == [3]
-    # A window may reach beyond the range; there is nothing there.
-    over = counter.window(index[0].astype(np.int64) - 1, np.full(case.dim, 4))
-    assert over.sum() == 3
+    assert counter.find(index).tolist() == [3, 3, 3, 3]
 
 
 @settings(max_examples=EXAMPLES, deadline=None)
-@given(
-    st.lists(st.lists(st.tuples(st.integers(-70, 70), st.integers(-70, 70)), max_size=20), max_size=5),
-    st.tuples(st.integers(-80, 80), st.integers(-80, 80)),
-    st.tuples(st.integers(0, 40), st.integers(0, 40)),
-)
-def test_any_additions_and_any_window(batches: list, low: tuple[int, int], shape: tuple[int, int]) -> None:
+@given(st.lists(st.lists(st.tuples(st.integers(-70, 70), st.integers(-70, 70)), max_size=20), max_size=5))
+def test_any_additions(batches: list) -> None:
     counter = CellCounter(Lattice.named("A2", 0.1))
     counts: Counter = Counter()
     for batch in batches:
@@ -104,8 +79,87 @@ def test_any_additions_and_any_window(batches: list, low: tuple[int, int], shape
         counts.update(batch)
     check_list(counter, counts, HITS)
     assert len(counter.to_list(PASSES)) == 0
-    found = counter.window(np.array(low), np.array(shape))
-    np.testing.assert_array_equal(found, expected_window(counts, np.array(low), np.array(shape)))
+
+
+@each
+def test_a_scan_is_hits_at_the_ends_of_rays_and_passes_before_them(case: Case) -> None:
+    """Against the traversal and a dictionary; rays so long that they need many new tiles on their way."""
+    rng = np.random.default_rng(4)
+    counter = CellCounter(case.lattice)
+    hits: Counter = Counter()
+    passes: Counter = Counter()
+    reach = 400 * case.lattice.resolution if JIT else 20 * case.lattice.resolution
+    for _ in range(4):
+        origin = rng.uniform(-reach, reach, case.dim)
+        ends = rng.uniform(-reach, reach, (70, case.dim))
+        count = int(rng.integers(0, len(ends) + 1))
+        ends[0] = origin  # a ray within a cell
+        counter.fuse(origin, ends, count)
+        through = traverse(case.lattice, np.broadcast_to(origin, ends.shape), ends)
+        for r in range(len(ends)):
+            cells = list(map(tuple, through.ray(r).tolist()))
+            passes.update(cells[:-1] if r < count else cells)
+            hits.update(cells[-1:] if r < count else [])
+    check_list(counter, hits, HITS)
+    check_list(counter, passes, PASSES)
+
+
+@each
+def test_a_scan_that_is_out_of_range_or_too_large_adds_nothing(case: Case) -> None:
+    counter = CellCounter(case.lattice)
+    ends = np.ones((3, case.dim))
+    ends[1] = 1e13
+    for origin, some, hits in ((np.zeros(case.dim), ends, 3), (np.full(case.dim, -1e13), ends[:1], 0)):
+        with pytest.raises(BoundsError, match="out of range"):
+            counter.fuse(origin, some, hits)
+    far = np.full((200, case.dim), 0.4 * case.lattice.limit * case.lattice.inradius / 2)
+    if case.dim == 2:  # in space the range of indices ends before a scan is too large
+        with pytest.raises(TooLargeError, match="rays of up to"):
+            counter.fuse(np.zeros(2), far, 200)
+    assert len(counter.to_list(HITS)) == len(counter.to_list(PASSES)) == 0
+
+
+@each
+def test_a_count_that_is_full_grows(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four bytes a count, then eight: with a limit of 5 instead of two thousand million."""
+    monkeypatch.setattr(CellCounter, "_most", property(lambda c: 5 if c.bytes_a_count == 4 else 2**63 - 1))
+    counter = CellCounter(case.lattice)
+    cell = np.full((12, case.dim), -3, np.int32)
+    counter.add(cell[:5], PASSES)
+    assert counter.bytes_a_count == 4
+    counter.add(cell, PASSES)
+    counter.fuse(case.lattice.centres(cell[:1])[0], case.lattice.centres(cell[:7]), 7)
+    assert counter.bytes_a_count == 8
+    assert counter.find(cell[:1], PASSES).tolist() == [17] and counter.find(cell[:1], HITS).tolist() == [7]
+
+
+@each
+def test_a_follower_knows_every_cell_that_was_hit(case: Case) -> None:
+    """What it was told last is what the counter holds, whether it came early or late; even where thousands change."""
+    rng = np.random.default_rng(6)
+    counter = CellCounter(case.lattice)
+    told: list[dict] = [{}, {}]
+
+    def follower(which: int):
+        def hear(index: np.ndarray, counts: np.ndarray) -> None:
+            assert len(np.unique(index, axis=0)) == len(index)
+            told[which].update(zip(map(tuple, index.tolist()), map(tuple, counts.tolist()), strict=True))
+
+        return hear
+
+    counter.follow(follower(0))
+    for turn in range(6):
+        if turn == 3:
+            counter.follow(follower(1))
+        index = rng.integers(-40, 40, (9000 if JIT else 90, case.dim)).astype(np.int32)
+        counter.add(index, turn % 2)
+        origin = rng.uniform(-1, 1, case.dim)
+        counter.fuse(origin, origin + rng.uniform(-2, 2, (40, case.dim)), 30)
+    hits = counter.to_list(HITS)
+    passes = counter.find(hits.index, PASSES)
+    counts = zip(hits.counts.tolist(), passes.tolist(), strict=True)
+    expected = dict(zip(map(tuple, hits.index.tolist()), counts, strict=True))
+    assert told[0] == told[1] == expected
 
 
 @each
@@ -113,4 +167,6 @@ def test_an_empty_counter(case: Case) -> None:
     counter = CellCounter(case.lattice)
     counter.add(np.empty((0, case.dim), np.int32))
     assert counter.to_list() == VoxelList.empty(case.lattice)
-    assert counter.window(np.zeros(case.dim, np.int64), np.full(case.dim, 2)).sum() == 0
+    assert counter.find(np.zeros((1, case.dim), np.int32)).tolist() == [0]
+    counter.fuse(np.zeros(case.dim), np.empty((0, case.dim)), 0)
+    assert counter.to_list(PASSES) == VoxelList.empty(case.lattice)

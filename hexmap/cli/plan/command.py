@@ -39,7 +39,9 @@ _POSITION: dict[str, Any] = {"parser": parse_position, "metavar": "X Y [Z]"}
 def plan(
     map: Annotated[
         Path,
-        typer.Argument(help="A map of hexmap, a ROS map (.yaml), MovingAI .map, Warframe .3dmap, OctoMap .bt."),
+        typer.Argument(
+            help="A map of hexmap, a ROS map (.yaml), MovingAI .map, Warframe .3dmap, OctoMap .bt, Wean Hall .dat."
+        ),
     ],
     start: Annotated[
         Any,

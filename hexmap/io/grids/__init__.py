@@ -1,7 +1,8 @@
 """Maps that other people published, read into one value that any lattice can be laid over.
 
 MovingAI grids (``.map``), Warframe voxels (``.3dmap``), ROS map_server maps (``.yaml`` and its image),
-OctoMaps (``.bt``), and the benchmark problems that belong to the first two (``.scen``, ``.3dscen``).
+OctoMaps (``.bt``), the map of Wean Hall (``.dat``), and the benchmark problems that belong to the first two
+(``.scen``, ``.3dscen``).
 
 Examples:
     >>> from hexmap import Lattice

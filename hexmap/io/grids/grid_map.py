@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
+from hexmap.maps.state_rule import States
+from hexmap.maps.voxel_list import VoxelList
 
 if TYPE_CHECKING:
     from hexmap.graph.bodies import Boxes
@@ -25,6 +27,8 @@ __all__ = ["MAX_BYTES", "MAX_CELLS", "GridMap", "check_size"]
 MAX_CELLS = 2_000_000_000  # of a dense array, a byte each
 MAX_BYTES = 4 * 2**30  # of a file, as it is and decompressed
 _FINE = 2.0**32  # parts of a cell that quotients are rounded to
+_DRAWN_IN = 1e-6  # of a cell: how far inside its border the outermost samples lie
+_SAMPLES_AT_ONCE = 1 << 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,7 @@ class GridMap:
         origin: (n,) float64, metres, the low corner of the cell 0, 0(, 0).
         yaw: by how much the grid is turned about its origin, radians, counter-clockwise.
         path: the file it came from.
-        kind: "movingai", "warframe", "ros" or "octomap"; "" for one's own.
+        kind: "movingai", "warframe", "ros", "octomap" or "wean"; "" for one's own.
         y_down: whether pictures show y downwards, as MovingAI counts rows from the top.
 
     Examples:
@@ -259,10 +263,7 @@ class GridMap:
         from hexmap.graph import lattice_graph as graphs
 
         _check_unknown(unknown)
-        if lattice.dim != self.dim:
-            raise ArgumentError(
-                f"a grid of dimension {self.dim} does not fit {lattice.name}, of dimension {lattice.dim}"
-            )
+        self._check_dimension(lattice)
         # A centre on the grid's border belongs to the grid or not, as the look-up decides it.
         grain = self.cell / _FINE
         low, high = self.low - 0.25 * grain, self.high - grain
@@ -280,6 +281,70 @@ class GridMap:
             occupied_at=occupied_at,
             boxes=self._occupied_boxes,
         )
+
+    def to_states(self, lattice: Lattice | str | None = None) -> States:
+        """Return the occupied and free cells of the map on a lattice, for matching scans against it.
+
+        A cell of the lattice is occupied where it meets the inside of an occupied cell of the grid: where one of the
+        points of a regular sampling of that cell falls into it. Neighbouring samples are at most half of the smaller
+        one's width apart, that of a lattice's cell being twice its inradius; those in the corners are drawn in by a
+        millionth of a cell, so that cells which share a border only do not count. A cell of the lattice is free where
+        it is not occupied and its centre lies in a free cell of the grid. All others are unknown. A square or cubic
+        lattice whose cells are those of the grid gives back the grid's states.
+
+        Args:
+            lattice: a lattice of the grid's dimension, or the name of one, whose resolution is then :attr:`cell`;
+                None: the square or cubic one.
+
+        Returns:
+            The cells, each with a count of 1.
+
+        Raises:
+            ArgumentError: the lattice has another dimension.
+            BoundsError: a cell leaves the range of the lattice's indices.
+            LatticeError: there is no lattice of that name.
+        """
+        on = lattice if isinstance(lattice, Lattice) else Lattice.named(lattice or f"Z{self.dim}", self.cell)
+        self._check_dimension(on)
+        width = 2.0 * on.inradius
+        parts = math.ceil(self.cell / (0.5 * min(self.cell, width)) - 1e-9)
+        ends = np.linspace(0.0, 1.0, parts + 1)
+        ends[[0, -1]] = _DRAWN_IN, 1.0 - _DRAWN_IN
+        occupied = self._cells_met(on, CellState.OCCUPIED, ends)
+        # Each point of a cell is nearer than an inradius to one of these, so each centre in it is found.
+        parts = math.ceil(1.001 * math.sqrt(self.dim) * self.cell / width)
+        near = self._cells_met(on, CellState.FREE, (np.arange(parts) + 0.5) / parts)
+        free = self.state_at(near.centres(), outside=CellState.UNKNOWN) == CellState.FREE.value
+        near = near.select(free)
+        return States(occupied, near.select(~occupied.contains(near.index)))
+
+    def _cells_met(self, lattice: Lattice, state: CellState, along: NDArray[np.float64]) -> VoxelList:
+        """Return the lattice's cells, each counted once, that samples of the grid's cells of one state fall into.
+
+        Args:
+            lattice: the lattice.
+            state: of the cells that are sampled.
+            along: (K,) where the samples lie along each axis of a cell, 0 to 1.
+        """
+        n = self.dim
+        samples = np.stack(np.meshgrid(*[along] * n, indexing="ij"), axis=-1).reshape(-1, n)
+        found = VoxelList.empty(lattice)
+        # In slabs of the grid, and in pieces of those: all samples of a large map would not fit into memory.
+        slab = max(1, _SAMPLES_AT_ONCE // max(1, math.prod(self.states.shape[1:])))
+        piece = max(1, _SAMPLES_AT_ONCE // len(samples))
+        for begin in range(0, self.states.shape[0], slab):
+            cells = np.argwhere(self.states[begin : begin + slab] == state.value)
+            cells[:, 0] += begin
+            for first in range(0, len(cells), piece):
+                points = (cells[first : first + piece, None, :] + samples - 0.5).reshape(-1, n)
+                found = found.merge(VoxelList.from_points(self.centre(points), lattice))
+        return VoxelList(lattice, found.keys, np.ones_like(found.counts))
+
+    def _check_dimension(self, lattice: Lattice) -> None:
+        if lattice.dim != self.dim:
+            raise ArgumentError(
+                f"a grid of dimension {self.dim} does not fit {lattice.name}, of dimension {lattice.dim}"
+            )
 
     def _occupied_at(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell for each of points (N, n) whether it lies in an occupied cell of the grid."""

@@ -10,13 +10,18 @@ from hexmap.base.errors import ArgumentError, FormatError
 from hexmap.base.text import quoted
 from hexmap.io import file_kinds
 from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
-from hexmap.io.read_file import read_file
+from hexmap.io.read_file import beginning, read_file
 
-__all__ = ["open_grid"]
+__all__ = ["is_grid", "open_grid"]
 
-_KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map or an OctoMap .bt"
+_KNOWN = "a MovingAI .map, a Warframe .3dmap, the .yaml of a ROS map, an OctoMap .bt or a BeeSoft .dat (Wean Hall)"
 _PICTURES = (file_kinds.PNG, file_kinds.PGM, file_kinds.BMP)
-_KINDS = {file_kinds.MOVINGAI: "movingai", file_kinds.WARFRAME: "warframe", file_kinds.OCTOMAP: "octomap"}
+_KINDS = {
+    file_kinds.MOVINGAI: "movingai",
+    file_kinds.WARFRAME: "warframe",
+    file_kinds.OCTOMAP: "octomap",
+    file_kinds.WEAN_MAP: "wean",
+}
 
 
 def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> GridMap:
@@ -24,7 +29,7 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
 
     Args:
         path: a ``.map`` or ``.3dmap`` (plain or gzip), the ``.yaml`` of a ROS map_server map with its
-            image beside it, or a ``.bt``.
+            image beside it, a ``.bt``, or the map of Wean Hall (``.dat``, plain or gzip).
         cell: metres an edge of a cell, for MovingAI and Warframe, which name none; 1 where none is given.
 
     Returns:
@@ -41,7 +46,7 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
         raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {cell!r}")
     data = read_file(path, MAX_BYTES)
     kind = _kind(path, data)
-    if kind in ("ros", "octomap") and cell is not None:
+    if kind in ("ros", "octomap", "wean") and cell is not None:
         raise ArgumentError(f"{path}: the file says how large its cells are; a cell of {cell:g} m cannot change that")
     # Each format's module is imported when it is needed.
     if kind == "movingai":
@@ -56,9 +61,26 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
         from hexmap.io.grids import octomap
 
         return octomap.parse(path, data)
+    if kind == "wean":
+        from hexmap.io.grids import wean
+
+        return wean.parse(path, data)
     from hexmap.io.grids import ros
 
     return ros.parse(path, data)
+
+
+def is_grid(path: Path) -> bool:
+    """Tell whether a file is a map that :func:`open_grid` reads, by how it begins and by the name of a ROS map's."""
+    if _suffix(path) in (".yaml", ".yml"):
+        return path.is_file()
+    return file_kinds.find_kind(beginning(path), _KINDS) is not None
+
+
+def _suffix(path: Path) -> str:
+    """Return the last suffix, that of gzip left out."""
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
+    return suffixes[-1] if suffixes else ""
 
 
 def _kind(path: Path, data: bytes) -> str:
@@ -76,8 +98,7 @@ def _kind(path: Path, data: bytes) -> str:
     if found is not None:
         return _KINDS[found]
     names = {".map": "movingai", ".3dmap": "warframe", ".yaml": "ros", ".yml": "ros", ".bt": "octomap"}
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
-    kind = names.get(suffixes[-1], "") if suffixes else ""
+    kind = names.get(_suffix(path), "")
     if not kind:
         raise FormatError(f"{path}: of no known kind (it begins with {quoted(data[:40])}); a map is {_KNOWN}")
     return kind

@@ -1,6 +1,6 @@
 """Laser logs, read as a stream of scans and odometry readings.
 
-CARMEN text (plain or gzip), ROS 1 bags, ROS 2 bags (sqlite3 or MCAP, a folder or one file).
+CARMEN text and the logs of Wean Hall (plain or gzip), ROS 1 bags, ROS 2 bags (sqlite3 or MCAP, a folder or one file).
 
 Examples:
     >>> from hexmap.io.logs import open_log

@@ -26,10 +26,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hexmap.base.errors import FileAccessError, LogError
-from hexmap.base.text import plural, reason, shown
-from hexmap.io.logs.log import Log, LogSettings, file_size
-from hexmap.io.read_file import CHUNK, GzipError, cannot_read, inflated
+from hexmap.base.text import plural, shown
+from hexmap.io.logs.log import LogSettings
+from hexmap.io.logs.text_log import BadLine, TextLog, floats, not_a_number, numbers, tag_of
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 
@@ -42,15 +41,9 @@ _PREFERENCE: dict[str | None, tuple[bytes, ...]] = {
 }
 _LASERS = frozenset((b"FLASER", b"RLASER", b"ROBOTLASER1", b"ROBOTLASER2"))
 _LOOK_AHEAD = 1000
-# Far above any laser's line; a file without line ends must not fill the memory.
-_LONGEST_LINE = 1 << 23
 
 
-class _BadLine(Exception):
-    """A line that is skipped; its text is the reason."""
-
-
-class CarmenLog(Log):
+class CarmenLog(TextLog):
     """A CARMEN log; see :class:`hexmap.io.logs.Log`."""
 
     format = "carmen"
@@ -61,14 +54,7 @@ class CarmenLog(Log):
         Raises:
             FileAccessError: the file cannot be read.
         """
-        try:
-            size = file_size(path)
-        except OSError as error:
-            raise cannot_read(path, error) from error
-        super().__init__(path, settings, size)
-        self._compressed = compressed
-        self._lines_read = 0
-        self._whole_last_line = True
+        super().__init__(path, settings, compressed)
         self._laser = self._look_ahead()
         if self._laser == b"RLASER" and self.mount is None:
             self._notes.append("the log does not say how the rear laser (RLASER) is mounted; set the mount")
@@ -80,8 +66,8 @@ class CarmenLog(Log):
         wanted = _PREFERENCE.get(setting) or (str(setting).encode(),)
         best: int | None = None
         left = _LOOK_AHEAD
-        for _, line in self._lines():
-            tag = _tag(line)
+        for _, line in self.lines():
+            tag = tag_of(line)
             if tag in wanted:
                 rank = wanted.index(tag)
                 if best is None or rank < best:
@@ -94,40 +80,6 @@ class CarmenLog(Log):
                     break
         return None if best is None else wanted[best]
 
-    def _lines(self) -> Iterator[tuple[int, bytes]]:
-        """Yield (number, line without its end), as far as the file can be read."""
-        self.position = 0
-        self._lines_read = 0
-        self._whole_last_line = True
-        rest = b""
-        number = 0
-        try:
-            for text in inflated(self._chunks()) if self._compressed else self._chunks():
-                lines = (rest + text).split(b"\n")
-                rest = lines.pop()
-                for line in lines:
-                    number += 1
-                    self._lines_read = number
-                    yield number, line
-                if len(rest) > _LONGEST_LINE:
-                    raise LogError(f"{self.path}, line {number + 1}: longer than {_LONGEST_LINE} bytes")
-        except OSError as error:
-            raise FileAccessError(f"{self.path}: cannot be read after line {number}: {reason(error)}") from error
-        except GzipError as error:
-            self._late_notes.append(f"the gzip file is {error}; read up to line {number}, its last whole one")
-            return
-        if rest.strip():
-            self._whole_last_line = False
-            self._lines_read = number + 1
-            yield number + 1, rest
-
-    def _chunks(self) -> Iterator[bytes]:
-        """Yield the bytes of the file."""
-        with open(self.path, "rb") as handle:
-            while chunk := handle.read(CHUNK):
-                self.position += len(chunk)
-                yield chunk
-
     def _events(self) -> Iterator[Event]:
         wanted = self._laser
         others = _LASERS if self.settings.laser is None else frozenset[bytes]()
@@ -136,16 +88,16 @@ class CarmenLog(Log):
             others = frozenset((b"RLASER", b"ROBOTLASER2")) & others
         stamp = 0.0
         unstamped = 0
-        for number, line in self._lines():
-            tag = _tag(line)
+        for number, line in self.lines():
+            tag = tag_of(line)
             event: Event
             try:
                 if tag == b"ODOM":
                     tokens = line.split()
                     # A last line without its end may have lost part of its last number.
-                    if len(tokens) < 4 or (not self._whole_last_line and len(tokens) < 10):
-                        raise _BadLine(f"{len(tokens) - 1} fields of an ODOM line, which has 9")
-                    values = _floats(tokens[1:4], "odometry")
+                    if len(tokens) < 4 or (not self.whole_last_line and len(tokens) < 10):
+                        raise BadLine(f"{len(tokens) - 1} fields of an ODOM line, which has 9")
+                    values = floats(tokens[1:4], "odometry")
                     time = _stamp(tokens, 7)
                     unstamped += time is None
                     stamp = stamp if time is None else time
@@ -160,7 +112,7 @@ class CarmenLog(Log):
                     if tag in others:
                         self._other_laser.add(f"line {number} ({tag.decode()})")
                     continue
-            except _BadLine as bad:
+            except BadLine as bad:
                 self._skipped.add(f"line {number}: {bad}")
                 continue
             yield event
@@ -184,16 +136,16 @@ class CarmenLog(Log):
             beams = _count(tokens, 1)
             tail_length = len(tokens) - 2 - beams
             # Six fields are a whole line without a stamp, unless a host's name says that beams are missing.
-            short = tail_length == 6 and (not self._whole_last_line or _not_a_number(tokens[-2:-1]))
+            short = tail_length == 6 and (not self.whole_last_line or not_a_number(tokens[-2:-1]))
             if short or tail_length not in (6, 9):
-                raise _BadLine(_wrong_number(tokens, beams, tail_length))
-            ranges = _numbers(tokens[2 : 2 + beams])
+                raise BadLine(_wrong_number(tokens, beams, tail_length))
+            ranges = numbers(tokens[2 : 2 + beams])
             # After x y theta of the laser, which in many logs is a corrected pose, comes the odometry.
-            odometry = _floats(tokens[5 + beams : 8 + beams], "odometry")
-            _floats(tokens[2 + beams : 5 + beams], "laser pose")
+            odometry = floats(tokens[5 + beams : 8 + beams], "odometry")
+            floats(tokens[2 + beams : 5 + beams], "laser pose")
             time = _stamp(tokens, 8 + beams)
         if not len(ranges):
-            raise _BadLine("0 beams")
+            raise BadLine("0 beams")
         directions = self._beams.directions(len(ranges), angle_min, angle_step)
         points, rays, dropped = self._beams.split(np.array(ranges), directions, limit)
         if dropped:
@@ -204,41 +156,11 @@ class CarmenLog(Log):
     def _no_laser(self) -> str:
         names = ", ".join(tag.decode() for tag in _PREFERENCE.get(self.settings.laser, ()))
         names = names or str(self.settings.laser)
-        return f"{self.path}: no laser reading ({names}) in {plural(self._lines_read, 'line')}"
-
-
-def _tag(line: bytes) -> bytes:
-    """Return the first word of a line, if it is short enough to be one of ours."""
-    words = line[:12].split(None, 1)
-    return words[0] if words else b""
-
-
-def _numbers(tokens: list[bytes]) -> list[float]:
-    try:
-        return list(map(float, tokens))
-    except ValueError:
-        raise _BadLine(f"'{shown(_not_a_number(tokens))}' is not a number") from None
-
-
-def _not_a_number(tokens: list[bytes]) -> bytes:
-    for token in tokens:
-        try:
-            float(token)
-        except ValueError:
-            return token
-    return b""
-
-
-def _floats(tokens: list[bytes], what: str) -> list[float]:
-    values = _numbers(tokens)
-    for token, value in zip(tokens, values, strict=True):
-        if not math.isfinite(value):
-            raise _BadLine(f"the {what} is '{shown(token)}'")
-    return values
+        return f"{self.path}: no laser reading ({names}) in {plural(self.lines_read, 'line')}"
 
 
 def _stamp(tokens: list[bytes], index: int) -> float | None:
-    return _floats(tokens[index : index + 1], "time stamp")[0] if index < len(tokens) else None
+    return floats(tokens[index : index + 1], "time stamp")[0] if index < len(tokens) else None
 
 
 def _count(tokens: list[bytes], index: int) -> int:
@@ -246,15 +168,15 @@ def _count(tokens: list[bytes], index: int) -> int:
         count = int(tokens[index])
     except (ValueError, IndexError):
         text = shown(tokens[index]) if index < len(tokens) else ""
-        raise _BadLine(f"the number of beams is '{text}'") from None
+        raise BadLine(f"the number of beams is '{text}'") from None
     if count < 0:
-        raise _BadLine(f"the number of beams is '{count}'")
+        raise BadLine(f"the number of beams is '{count}'")
     return count
 
 
 def _wrong_number(tokens: list[bytes], beams: int, tail: int) -> str:
     """Say how many beams a line has instead; a host's name near its end tells a whole line."""
-    whole = len(tokens) > 4 and _not_a_number(tokens[-2:-1]) != b""
+    whole = len(tokens) > 4 and not_a_number(tokens[-2:-1]) != b""
     if not whole and 0 <= tail < 9:
         return f"the line is cut off, {tail} of 9 fields after the {beams} beams"
     found = max(beams + tail - 9, 0) if whole else max(beams + min(tail, 0), 0) if tail < 0 else beams + tail - 6
@@ -265,20 +187,20 @@ def _robotlaser(tokens: list[bytes]) -> tuple[list[float], list[float], list[flo
     """Return the seven fields before the beams, the ranges, and the numbers after the remissions."""
     beams = _count(tokens, 8)
     if len(tokens) < 10 + beams:
-        raise _BadLine(f"{beams} beams announced, {max(len(tokens) - 9, 0)} found")
-    fields = _floats(tokens[1:8], "laser's description")
-    ranges = _numbers(tokens[9 : 9 + beams])
+        raise BadLine(f"{beams} beams announced, {max(len(tokens) - 9, 0)} found")
+    fields = floats(tokens[1:8], "laser's description")
+    ranges = numbers(tokens[9 : 9 + beams])
     after = tokens[9 + beams :]
     remissions = _count_remissions(after[0], beams)
     tail = after[1 + remissions :]
     if len(tail) not in (11, 14):
-        raise _BadLine(
+        raise BadLine(
             f"{beams} beams announced and {remissions} remissions, then {len(tail)} fields follow instead of 14"
         )
-    numbers = _floats(tail[:11], "pose")
+    poses = floats(tail[:11], "pose")
     if len(tail) == 14:
-        numbers.append(math.nan)  # marks that a stamp follows
-    return fields, ranges, numbers
+        poses.append(math.nan)  # marks that a stamp follows
+    return fields, ranges, poses
 
 
 def _count_remissions(token: bytes, beams: int) -> int:
@@ -286,9 +208,9 @@ def _count_remissions(token: bytes, beams: int) -> int:
         count = int(token)
     except ValueError:
         # Where a beam is missing or one too many, this is a range or a pose.
-        raise _BadLine(f"{beams} beams announced, then '{shown(token)}' instead of a number of remissions") from None
+        raise BadLine(f"{beams} beams announced, then '{shown(token)}' instead of a number of remissions") from None
     if count < 0:
-        raise _BadLine(f"the number of remissions is '{count}'")
+        raise BadLine(f"the number of remissions is '{count}'")
     return count
 
 
@@ -296,7 +218,7 @@ def _mount(tokens: list[bytes]) -> Pose | None:
     """Return T_robot_laser of a ROBOTLASER line, or None where both poses are the same or unreadable."""
     try:
         _, _, tail = _robotlaser(tokens)
-    except _BadLine:
+    except BadLine:
         return None
     mount = Pose.planar(*tail[3:6]).inverse() @ Pose.planar(*tail[0:3])
     # The poses are printed with six digits, so a mount of less than that is none.

@@ -150,7 +150,7 @@ class Log(ABC):
     Attributes:
         path: the file or folder.
         settings: how it is read.
-        format: "carmen", "rosbag1", "rosbag2" (sqlite3) or "mcap".
+        format: "carmen", "wean", "rosbag1", "rosbag2" (sqlite3) or "mcap".
         size: bytes of the file, compressed as it is.
         position: bytes read so far, about.
         scans: scans yielded so far.

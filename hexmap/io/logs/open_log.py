@@ -9,11 +9,11 @@ from pathlib import Path
 from hexmap.base.errors import FileAccessError, LogError
 from hexmap.io import file_kinds
 from hexmap.io.logs.log import Log, LogSettings
-from hexmap.io.read_file import GzipError, cannot_read, inflated
+from hexmap.io.read_file import GzipError, beginning, cannot_read, inflated
 
-__all__ = ["open_log"]
+__all__ = ["is_log", "open_log"]
 
-_KNOWN = "a CARMEN log (plain or gzip), a ROS 1 bag, a ROS 2 bag or an MCAP file"
+_KNOWN = "a CARMEN or Wean Hall log (plain or gzip), a ROS 1 bag, a ROS 2 bag or an MCAP file"
 _BAGS = {
     file_kinds.ROSBAG1: "rosbag1",
     file_kinds.MCAP: "mcap",
@@ -25,8 +25,8 @@ def open_log(path: str | os.PathLike[str], settings: LogSettings | None = None) 
     """Open a log; its format is found by its content, not by its name.
 
     Args:
-        path: a CARMEN log (plain or gzip), a ROS 1 bag, a ROS 2 bag (folder or its single file)
-            or an MCAP file.
+        path: a CARMEN or Wean Hall log (plain or gzip), a ROS 1 bag, a ROS 2 bag (folder or its single
+            file) or an MCAP file.
         settings: how to read it.
 
     Returns:
@@ -68,9 +68,20 @@ def open_log(path: str | os.PathLike[str], settings: LogSettings | None = None) 
         raise LogError(f"{path}: this is {foreign.name}{advice}; a log is {_KNOWN}")
     if file_kinds.control_byte(text[:4096]) is not None:
         raise LogError(f"{path}: the file is binary and of no known kind; a log is {_KNOWN}")
+    if file_kinds.WEAN_LOG.begins(text):
+        from hexmap.io.logs.wean import WeanLog
+
+        return WeanLog(path, settings, compressed)
     from hexmap.io.logs.carmen import CarmenLog
 
     return CarmenLog(path, settings, compressed)
+
+
+def is_log(path: Path) -> bool:
+    """Tell whether a file or folder looks like a log that :func:`open_log` reads, by how it begins."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return file_kinds.find_kind(beginning(path), (*_BAGS, file_kinds.WEAN_LOG, file_kinds.CARMEN_LOG)) is not None
 
 
 def _beginning(path: Path, head: bytes) -> bytes:

@@ -385,4 +385,4 @@ def test_real_logs(data_dir: Path, name: str, scans: int, odometry: int, rays: i
 @pytest.mark.data
 def test_real_log_of_another_format_is_refused(data_dir: Path) -> None:
     with pytest.raises(LogError, match="no laser reading"):
-        list(open_log(data_dir / "laser2d" / "wean" / "robotdata1.log.gz"))
+        list(open_log(data_dir / "laser2d" / "intel.association.csv"))

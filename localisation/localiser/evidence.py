@@ -1,0 +1,53 @@
+"""Whether scans belong to a map: the shares of points that meet it and of beams that go through its walls.
+
+Neighbouring beams see the same wall, so that a scan counts as no more than 1 / TEMPERATURE independent ones, as in the
+covariance of a match. Of n such beams a share of p succeeds give or take sqrt(p (1 - p) / n); farther off than so many
+standard deviations the map does not fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from localisation.localiser.settings import LocaliserSettings
+from localisation.matching.information import TEMPERATURE
+
+__all__ = ["Evidence", "fits", "least_overlap"]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One scan at one pose: independent beams, and the shares of them that meet the map and that contradict it."""
+
+    beams: float
+    overlap: float
+    contradicted: float
+
+    @classmethod
+    def of(cls, points: int, overlap: float, contradicted: float) -> Evidence:
+        """Return the evidence of a scan of ``points`` points."""
+        return cls(min(float(points), 1.0 / TEMPERATURE), overlap, contradicted)
+
+
+def least_overlap(beams: float, settings: LocaliserSettings) -> float:
+    """Return the share of points that must meet the map, of ``beams`` independent ones."""
+    p = settings.explained
+    return max(0.0, p - settings.sigmas * math.sqrt(p * (1.0 - p) / beams))
+
+
+def fits(scans: Iterable[Evidence], settings: LocaliserSettings, *, tracked: bool = False) -> bool:
+    """Tell whether scans, taken together, agree with the map; no beam at all contradicts nothing.
+
+    A pose that is ``tracked`` has its history to speak for it, and beams go through the old places of moved walls.
+    """
+    scans = list(scans)
+    n = sum(s.beams for s in scans)
+    if n == 0.0:
+        return True
+    overlap = sum(s.beams * s.overlap for s in scans) / n
+    contradicted = sum(s.beams * s.contradicted for s in scans) / n
+    q = settings.changed if tracked else settings.contradicted
+    most = q + settings.sigmas * math.sqrt(q * (1.0 - q) / n)
+    return overlap >= least_overlap(n, settings) and contradicted <= most

@@ -1,0 +1,247 @@
+"""The localiser as a user meets it: found without a start pose, honest where it cannot know, found again when lost."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from hexmap.base.errors import ArgumentError
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.builder import MapBuilder
+from hexmap.maps.map import Map
+from hexmap.maps.state_rule import States
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+from hexmap.simulator.buildings import Building, make_building
+from hexmap.simulator.events import SimulatedEvent, simulate
+from localisation.localiser.estimate import Estimate, TrackState
+from localisation.localiser.localiser import Localiser
+from localisation.localiser.settings import LocaliserSettings
+from localisation.matching.global_matcher import GlobalMatcher
+from localisation.matching.hypotheses import find_hypotheses, is_same_place
+from tests.lattices import JIT
+
+pytestmark = pytest.mark.skipif(not JIT, reason="whole drives take minutes without the compiler")
+
+
+def drive(building: Building, seed: int, duration: float | None = None) -> list[SimulatedEvent]:
+    return [m for m in simulate(building, seed=seed, duration=duration) if isinstance(m.event, Scan)]
+
+
+def map_of(moments: list[SimulatedEvent], lattice: Lattice | None = None) -> Map:
+    builder = MapBuilder(lattice or Lattice.named("A2", 0.05))
+    for m in moments:
+        builder.fuse(m.event, m.T_map_robot)
+    return builder.build()
+
+
+@cache
+def room() -> tuple[Map, tuple[SimulatedEvent, ...]]:
+    """The map of one drive through the room, and another drive."""
+    building = make_building("room")
+    return map_of(drive(building, 1)), tuple(drive(building, 2))
+
+
+def boxes(name: str, walls: list[tuple[float, float, float, float]], path: list[tuple[float, float]]) -> Building:
+    return Building(name, np.array([[(a, b), (c, d)] for a, b, c, d in walls]), np.array(path))
+
+
+def rectangle(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
+    return [(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)]
+
+
+def run(localiser: Localiser, scans: list[Scan]) -> list[Estimate]:
+    out = [localiser.add(scan) for scan in scans]
+    assert all(e is not None for e in out)
+    return out  # type: ignore[return-value]
+
+
+def off(estimate: Estimate, truth: Pose) -> float:
+    assert estimate.pose is not None
+    return math.dist(estimate.pose.translation, truth.translation)
+
+
+@pytest.mark.parametrize("lattice", ["A2", "Z2"])
+def test_no_start_pose_is_needed_and_the_track_is_good_to_centimetres(lattice: str) -> None:
+    world, moments = room()
+    if lattice != "A2":
+        world = map_of(drive(make_building("room"), 1), Lattice.named(lattice, 0.05))
+    moments = moments[70:130]
+    estimates = run(Localiser(world), [m.event for m in moments])
+    assert estimates[0].state is TrackState.ambiguous and estimates[0].pose is None
+    placed = [(e, m) for e, m in zip(estimates, moments, strict=True) if e.pose is not None]
+    assert len(placed) >= len(moments) - 5
+    assert max(off(e, m.T_map_robot) for e, m in placed) < 0.06
+    errors = [e.pose.inverse() @ m.T_map_robot for e, m in placed]
+    assert max(abs(d.theta) for d in errors) < 0.03
+    for e, _ in placed:
+        assert e.covariance.shape == (3, 3) and (np.linalg.eigvalsh(e.covariance) > 0.0).all()
+
+
+def test_the_same_scans_give_the_same_bits() -> None:
+    world, moments = room()
+    scans = [m.event for m in moments[40:60]]
+    first, second = (run(Localiser(world), scans) for _ in range(2))
+    assert [e.pose for e in first] == [e.pose for e in second]
+    assert [e.state for e in first] == [e.state for e in second]
+
+
+def test_it_works_without_odometry_and_with_a_mount() -> None:
+    world, moments = room()
+    mount = Pose.planar(0.2, 0.1, 0.5)
+    moments = moments[70:100]
+    scans = [Scan(m.event.stamp, mount.inverse().apply(m.event.points)) for m in moments]
+    estimates = run(Localiser(world, LocaliserSettings(use_odometry=False), mount=mount), scans)
+    assert estimates[-1].pose is not None and off(estimates[-1], moments[-1].T_map_robot) < 0.06
+
+
+def test_a_start_pose_is_tracked_from_the_first_scan() -> None:
+    world, moments = room()
+    near = moments[50].T_map_robot @ Pose.planar(0.15, -0.1, 0.1)
+    (estimate,) = run(Localiser(world, start=near), [moments[50].event])
+    assert estimate.state is TrackState.tracking and off(estimate, moments[50].T_map_robot) < 0.06
+
+
+def test_another_building_is_not_in_this_map() -> None:
+    world, _ = room()
+    moments = drive(make_building("castle"), 3, duration=12.0)[::4]
+    estimates = run(Localiser(world), [m.event for m in moments])
+    assert not any(e.pose is not None for e in estimates)
+    assert estimates[-1].state is TrackState.lost
+
+
+def test_two_equal_rooms_are_both_kept_until_the_robot_sees_what_tells_them_apart() -> None:
+    # Rooms without anything in them, but for a pillar in the left one, which a short-sighted laser sees late.
+    left, right = (0.0, 0.0, 6.0, 4.0), (10.0, 0.0, 16.0, 4.0)
+    notch = [(1.0, 4.0, 1.0, 3.0), (11.0, 4.0, 11.0, 3.0)]
+    cells = [*rectangle(*left), *rectangle(*right), *notch, *rectangle(4.6, 0.6, 5.2, 1.2)]
+    building = boxes("twins", cells, [(1.0, 1.0), (5.0, 2.5)])
+    world = map_of(drive(building, 1) + drive(boxes("twins", cells, [(11.0, 1.0), (15.0, 2.5)]), 1))
+    moments = drive(building, 2)
+    scans = []
+    for k, m in enumerate(moments):
+        p = m.event.points
+        # Until it is half way the pillar is hidden from the robot.
+        world_points = m.T_map_robot.apply(p)
+        hidden = (world_points[:, 0] > 3.5) & (world_points[:, 1] < 1.6) & (k < len(moments) // 2)
+        scans.append(Scan(m.event.stamp, p[~hidden], odometry=m.event.odometry))
+    estimates = run(Localiser(world), scans)
+    half = estimates[len(moments) // 2 - 1]
+    assert half.state is TrackState.ambiguous and len(half.hypotheses) == 2 and half.pose is None
+    apart = half.hypotheses[0].pose.inverse() @ half.hypotheses[1].pose
+    assert abs(np.linalg.norm(apart.translation) - 10.0) < 0.2
+    assert all(h.score > 0 and h.weight > 0.0 for h in half.hypotheses)
+    assert estimates[-1].state is TrackState.tracking and off(estimates[-1], moments[-1].T_map_robot) < 0.1
+
+
+def test_in_a_corridor_the_covariance_is_long_along_it() -> None:
+    walls = rectangle(0.0, 0.0, 40.0, 2.0)
+    world = map_of(drive(boxes("corridor", walls, [(8.0, 1.0), (32.0, 1.0)]), 1))
+    m = drive(boxes("corridor", walls, [(18.0, 1.0), (22.0, 1.0)]), 2)[0]
+    near = m.event.points[np.linalg.norm(m.event.points, axis=1) < 6.0]
+    estimates = run(Localiser(world, start=m.T_map_robot), [Scan(0.0, near)] * 2)
+    assert estimates[-1].pose is not None
+    assert estimates[-1].covariance[0, 0] > 9.0 * estimates[-1].covariance[1, 1]
+
+
+def test_people_half_the_beams_and_scans_without_a_return() -> None:
+    world, moments = room()
+    moments = moments[70:110]
+    rng = np.random.default_rng(0)
+    scans = []
+    for k, m in enumerate(moments):
+        p = np.array(m.event.points)
+        if k == 20:
+            p = p[:0]  # maximum ranges only
+        elif k > 20:
+            p = p[: len(p) // 2]
+        else:
+            shorter = rng.random(len(p)) < 0.25  # someone stands there
+            p[shorter] *= rng.uniform(0.2, 0.9, (int(shorter.sum()), 1))
+        scans.append(Scan(m.event.stamp, p, odometry=m.event.odometry))
+    localiser = Localiser(world)
+    estimates = run(localiser, scans)
+    assert estimates[20].state is TrackState.tracking
+    assert off(estimates[20], moments[20].T_map_robot) < 0.1
+    assert localiser.times_lost == 0 and off(estimates[-1], moments[-1].T_map_robot) < 0.1
+    first = run(Localiser(world), [scans[20]])
+    assert first[0].state is TrackState.lost and first[0].hypotheses == []
+
+
+def test_a_map_of_which_half_has_changed_still_serves() -> None:
+    world, moments = room()
+    states = world.state()
+    low, high = world.bounds()
+    middle = 0.5 * (low + high)[0]
+    rng = np.random.default_rng(1)
+    old = states.occupied.centres()
+    moved = old[:, 0] > middle
+    old[moved] += np.where(rng.random((int(moved.sum()), 1)) < 0.5, 0.3, 0.0)
+    occupied = VoxelList.from_points(old, states.occupied.lattice)
+    localiser = Localiser(States(occupied, states.free), start=moments[0].T_map_robot)
+    estimates = run(localiser, [m.event for m in moments[:40]])
+    assert estimates[-1].pose is not None and off(estimates[-1], moments[39].T_map_robot) < 0.15
+
+
+def test_a_kidnapped_robot_is_noticed_and_found_again() -> None:
+    world, moments = room()
+    before, after = moments[60:75], moments[200:230]
+    localiser = Localiser(world)
+    estimates = run(localiser, [Scan(m.event.stamp, m.event.points, odometry=m.event.odometry) for m in before])
+    assert estimates[-1].pose is not None
+    # The wheels did not notice: they go on from where they were.
+    jump = before[-1].event.odometry @ after[0].event.odometry.inverse()
+    estimates = run(localiser, [Scan(m.event.stamp, m.event.points, odometry=jump @ m.event.odometry) for m in after])
+    assert localiser.times_lost >= 1
+    assert estimates[-1].pose is not None and off(estimates[-1], after[-1].T_map_robot) < 0.06
+
+
+def test_in_space_the_same_code_finds_a_cloud() -> None:
+    rng = np.random.default_rng(3)
+    walls = [rng.uniform([0, 0, 0], [8, 6, 3], (1500, 3)) for _ in range(4)]
+    walls[0][:, 0], walls[1][:, 0], walls[2][:, 1], walls[3][:, 1] = 0.0, 8.0, 0.0, 6.0
+    box = rng.uniform([2, 1, 0], [3, 2.5, 1.5], (600, 3))
+    cloud = np.concatenate([*walls, box, rng.uniform([5, 4, 0], [6.5, 5, 2.5], (600, 3))])
+    lattice = Lattice.named("D3", 0.25)
+    occupied = VoxelList.from_points(cloud, lattice)
+    free = VoxelList.from_points(rng.uniform([0.5, 0.5, 0.5], [7.5, 5.5, 2.0], (20_000, 3)), lattice)
+    localiser = Localiser(States(occupied, free), LocaliserSettings(contradicted=0.3, search_metres=0.5))
+    for k in range(8):
+        c, s = math.cos(0.7 + 0.1 * k), math.sin(0.7 + 0.1 * k)
+        truth = Pose([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], [4.0 + 0.3 * k, 3.0, 1.2])
+        seen = cloud[rng.choice(len(cloud), 400, replace=False)]
+        estimate = localiser.add(Scan(float(k), truth.inverse().apply(seen)))
+    assert estimate is not None and estimate.state is TrackState.tracking
+    assert estimate.pose.is_close(truth, metres=0.15, radians=0.05) and estimate.covariance.shape == (6, 6)
+
+
+def test_hypotheses_are_the_best_places_in_order_and_apart() -> None:
+    left, right = rectangle(0.0, 0.0, 5.0, 4.0), rectangle(8.0, 0.0, 13.0, 4.0)
+    wall = np.concatenate([np.linspace((a, b), (c, d), 120) for a, b, c, d in left + right])
+    cells = VoxelList.from_points(wall, Lattice.named("A2", 0.1))
+    scan = np.concatenate([np.linspace((a, b), (c, d), 30) for a, b, c, d in left]) - [2.0, 1.0]
+    matcher = GlobalMatcher(Localiser(States(cells, VoxelList.empty(cells.lattice))).matcher.pyramid)
+    found = find_hypotheses(matcher, scan, 6, least=0.5, part=0.9)
+    scores = [c.score for c in found.candidates]
+    # Two rooms, each the right way round and turned by 180 degrees.
+    assert found.complete and len(scores) == 4 and scores == sorted(scores, reverse=True)
+    poses = [c.pose for c in found.candidates]
+    assert not any(is_same_place(a, b, (0.5, 0.17)) for i, a in enumerate(poses) for b in poses[:i])
+    best = matcher.match(scan, information=False)
+    assert best is not None and scores[0] == best.score
+    few = find_hypotheses(matcher, scan, 2, least=0.5, part=0.9)
+    assert not few.complete and [c.score for c in few.candidates] == scores[:2]
+
+
+def test_what_does_not_fit_is_said() -> None:
+    world, _ = room()
+    with pytest.raises(ArgumentError, match="dimension 2"):
+        Localiser(world).add(Scan(0.0, np.zeros((3, 3))))
+    with pytest.raises(ArgumentError, match="explained"):
+        LocaliserSettings(explained=1.5)
+    with pytest.raises(ArgumentError, match="dimension"):
+        Localiser(world, mount=Pose.identity(3))
