@@ -247,7 +247,7 @@ class Localiser:
         # Scans below the usual share are not worth the search, which is long where nothing fits: the next will do.
         found = find_hypotheses(
             self.matcher, points, s.hypotheses, least=s.explained, part=s.part, apart=s.apart,
-            accept=accept, time_limit=s.time_limit,
+            accept=accept, time_limit=s.time_limit, node_limit=s.node_limit,
         )  # fmt: skip
         # Where all that score best contradict the map, none is a rival of what is carried on.
         self._complete = found.complete or not found.candidates

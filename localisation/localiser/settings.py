@@ -24,6 +24,7 @@ class LocaliserSettings:
         search_metres: how far from the prediction a tracked pose is looked for, along each axis.
         search_radians: the same for the yaw, to both sides.
         time_limit: seconds that one search over the whole map may take; None: as many as it needs.
+        node_limit: nodes that one may take: some seconds. Where nothing fits a proof is long, and the next scan will do.
         hypotheses: poses that are carried on at the most while it is not clear which is true.
         part: share of the best score down to which a pose is worth carrying on.
         apart: metres and radians within which two poses are the same.
@@ -47,6 +48,7 @@ class LocaliserSettings:
     search_metres: float = 0.4
     search_radians: float = math.radians(15.0)
     time_limit: float | None = None
+    node_limit: int = 8_000_000
     hypotheses: int = 8
     part: float = 0.9
     apart: tuple[float, float] = (0.5, math.radians(10.0))
@@ -83,5 +85,7 @@ class LocaliserSettings:
             raise ArgumentError(f"the setting search_radians is an angle up to pi, not {self.search_radians}")
         if not self.max_range > self.min_range:
             raise ArgumentError(f"no range lies between {self.min_range:g} and {self.max_range:g} m")
+        if self.node_limit < 1:
+            raise ArgumentError(f"a search takes at least one node, not {self.node_limit}")
         if self.time_limit is not None and not self.time_limit > 0.0:
             raise ArgumentError(f"the time limit must be positive, not {self.time_limit} s")

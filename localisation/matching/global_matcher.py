@@ -170,6 +170,7 @@ class GlobalMatcher:
         beams: bool = True,
         information: bool = True,
         time_limit: float | None = None,
+        node_limit: int | None = None,
     ) -> Match | None:
         """Return the best pose of a region, or None where nothing coincides.
 
@@ -184,6 +185,7 @@ class GlobalMatcher:
             beams: whether the beams that end beyond a wall are counted.
             information: whether the surface of scores around the best pose is turned into an information matrix.
             time_limit: seconds after which the search stops; what it found until then is not certified.
+            node_limit: nodes after which it stops: at the same node on every run and machine.
 
         Raises:
             ArgumentError: points or region are not of the map's dimension, or a number is out of its range.
@@ -207,6 +209,7 @@ class GlobalMatcher:
         end = math.inf if time_limit is None else time.monotonic() + time_limit
         kept, weights = thin(p, lattice)
         search = _Search(self, kept, weights, region, None if angles == "continuous" else float(angles))
+        search.node_limit = node_limit
         best = search.run(0, end)
         if best.pose is None:
             return None
@@ -298,6 +301,7 @@ class _Search:
         beyond = int(max((matcher.pyramid.low - self.low).max(), (high - matcher.pyramid.high).max(), 0))
         self.tables = matcher.pyramid.tables(reach + beyond)
         # Both runs of a search share the cells of rotations and the nodes of the top level.
+        self.node_limit: int | None = None
         self._room = 0
         self._slots: Any = None
         self._roots: tuple[IntArray, IntArray] | None = None
@@ -410,7 +414,8 @@ class _Search:
             code = k.search(*fixed, level, bound, node, stack, state, best_node, best_yaw, _SLICE)
             if code == k.FULL:
                 return None
-            if code == k.PAUSED and time.monotonic() > end:
+            spent = self.node_limit is not None and int(state[k.NODES]) >= self.node_limit
+            if code == k.PAUSED and (spent or time.monotonic() > end):
                 break
         return self._found(floor, state, best_node, best_yaw, stack, bound, code == k.DONE)
 

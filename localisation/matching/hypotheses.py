@@ -69,6 +69,7 @@ def find_hypotheses(
     apart: tuple[float, float] = (0.5, math.radians(10.0)),
     accept: Callable[[Pose], bool] | None = None,
     time_limit: float | None = None,
+    node_limit: int | None = None,
 ) -> Hypotheses:
     """Return the best poses of a scan over the whole map and all yaws.
 
@@ -81,6 +82,7 @@ def find_hypotheses(
         apart: metres and radians within which two poses are the same.
         accept: tells of a pose whether it is one to return; where the first two are refused nothing is returned.
         time_limit: seconds after which the search stops; what it found until then is not complete.
+        node_limit: nodes after which one search stops, at the same node on every run.
 
     Raises:
         ArgumentError: points are not of the map's dimension.
@@ -102,7 +104,9 @@ def find_hypotheses(
     def look(region: SearchRegion, without: Pose | None) -> None:
         nonlocal complete
         away = None if without is None else (without, apart)
-        found = _Search(matcher, kept, weights, region, None).run(floor, end, away)
+        search = _Search(matcher, kept, weights, region, None)
+        search.node_limit = node_limit
+        found = search.run(floor, end, away)
         complete = complete and found.finished
         if found.pose is not None:
             heapq.heappush(queue, (-found.score, tries * 2 + len(queue), found.pose, region, without))

@@ -245,6 +245,9 @@ def test_a_search_that_is_stopped_says_so_and_its_bound_holds() -> None:
     stopped = matcher.match(scan, time_limit=0.0)
     assert whole is not None and whole.certified and stopped is not None
     assert stopped.score <= whole.score <= stopped.bound
+    few = [matcher.match(scan, node_limit=1, runner_up=None) for _ in range(2)]
+    assert few[0] is not None and few[1] is not None and few[0].score <= whole.score <= few[0].bound
+    assert (few[0].pose, few[0].bound, few[0].nodes) == (few[1].pose, few[1].bound, few[1].nodes)
     if not stopped.certified:
         assert stopped.runner_up is None and stopped.runner_up_bound is None and "at most" in repr(stopped)
 
