@@ -24,7 +24,7 @@ class LocaliserSettings:
         search_metres: how far from the prediction a tracked pose is looked for, along each axis.
         search_radians: the same for the yaw, to both sides.
         time_limit: seconds that one search over the whole map may take; None: as many as it needs.
-        node_limit: nodes that one may take: some seconds. Where nothing fits a proof is long, and the next scan will do.
+        node_limit: nodes that one may take, some seconds: where nothing fits a proof is long; the next scan will do.
         hypotheses: poses that are carried on at the most while it is not clear which is true.
         part: share of the best score down to which a pose is worth carrying on.
         apart: metres and radians within which two poses are the same.
