@@ -18,9 +18,8 @@ from hexmap.maps.cell_state import CellState
 from localisation.matching.global_matcher import GlobalMatcher
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
-from localisation.odometry.scan_odometry import ScanMapper
-from localisation.settings import MappingSettings
 from tests.lattices import JIT
+from tests.mapping import map_events
 
 UNKNOWN, FREE, OCCUPIED = CellState
 # Three along x, two along y.
@@ -93,6 +92,7 @@ def test_info_says_what_a_map_of_others_holds(tmp_path: Path, capsys: pytest.Cap
     assert main(["info", str(text)]) == 1 and "not a map" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.data
 def test_the_real_map_and_a_way_along_its_corridor(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = data_dir / "laser2d" / "wean" / "wean.dat.gz"
@@ -104,6 +104,7 @@ def test_the_real_map_and_a_way_along_its_corridor(data_dir: Path, capsys: pytes
     assert main(["plan", str(path), "--from", "20", "41", "--to", "20", "60"]) == 1
 
 
+@pytest.mark.long
 @pytest.mark.data
 @pytest.mark.skipif(not JIT, reason="takes hours without the compiler")
 def test_the_axes_are_those_of_the_logs_and_not_mirrored(data_dir: Path) -> None:
@@ -111,11 +112,8 @@ def test_the_axes_are_those_of_the_logs_and_not_mirrored(data_dir: Path) -> None
     states = open_grid(folder / "wean.dat.gz").to_states(Lattice.named("A2", 0.1))
     # The third minute of log 2 leads around corners.
     log = open_log(folder / "robotdata2.log.gz")
-    mapper = ScanMapper(MappingSettings(), log.mount)
-    for event in log:
-        if 120.0 <= event.stamp < 180.0:
-            list(mapper.add(event))
-    points = mapper.builder.build().state(level=1).occupied.centres()
+    builder, _ = map_events((event for event in log if 120.0 <= event.stamp < 180.0), mount=log.mount)
+    points = builder.build().state(level=1).occupied.centres()
     matcher = GlobalMatcher(OccupancyPyramid(coincidence(states.occupied)), states.occupied.merge(states.free))
     right, mirrored = matcher.match(points), matcher.match(points[:, ::-1], runner_up=None)
     assert right is not None and mirrored is not None and right.gap == mirrored.gap == 0
