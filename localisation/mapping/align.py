@@ -2,7 +2,8 @@
 
 The occupied cells of the second map are matched as one large scan, over all yaws and wherever any part of it meets the
 first: the certified search of :class:`~localisation.matching.global_matcher.GlobalMatcher` on coarse cells, then
-refined on the finest level. A map that was never there has a best pose, too, so that a pose must pass tests before it counts.
+refined on the finest level. A map that was never there has a best pose, too, so that a pose must pass tests before it
+counts.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class AlignSettings:
     """How maps are aligned, and what an alignment must pass.
 
     Attributes:
-        most_cells: the whole of the maps is searched on the finest cells that leave the smaller one at most so many,
+        most_cells: the whole of the maps is searched on the finest cells that leave neither of them more than so many,
             at least twice as large as those of the finest level: maps of one place that were built apart bend.
         apart_cells: poses are the same alignment where the map's middle is nearer than so many searched cells, and the
             parts half as far from it as the farthest are turned by no more than that.
@@ -54,8 +55,8 @@ class AlignSettings:
         time_limit: seconds for each of the two searches; None: as long as they take.
     """
 
-    most_cells: int = 2000
-    apart_cells: float = 1.75
+    most_cells: int = 2500
+    apart_cells: float = 2.5
     min_margin: float = 0.2
     min_overlap: float = 0.1
     min_cells: int = 40
@@ -207,7 +208,7 @@ def _coarse_scale(a: Map, b: Map, most: int, rules: tuple[StateRule | None, Stat
     fine = [map.state(rule).occupied for map, rule in zip((a, b), rules, strict=True)]
     for scale in 2.0 ** np.arange(1, round(math.log2(_COARSEST))):
         sizes = [len(VoxelList.from_points(cells.centres(), cells.lattice.scaled(scale))) for cells in fine]
-        if min(sizes) <= most:
+        if max(sizes) <= most:
             break
     return float(scale)
 
