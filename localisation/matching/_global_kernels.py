@@ -181,6 +181,7 @@ def _box_arcs_plane(waves, reach0, reach1, c0, s0, c1, s1, half_turn, windows, l
     tables = windows.shape[0]
     size = (np.int64(1) << level) - 1
     for p in range(waves.shape[0]):
+        # One table serves both axes, so the wider of the two ranges says which.
         least, most = _wave_range(waves[p, 0, 0], waves[p, 0, 1], c0, s0, c1, s1, half_turn)
         first0 = np.int64(np.ceil(least - reach0))
         widest = np.int64(np.floor(most + reach0)) - first0 + 1
@@ -209,6 +210,7 @@ def _box_arcs_space(scan, lattice, rotations, tables, level, tilt, c0, s0, c1, s
         x = T[0, 0] * points[p, 0] + T[0, 1] * points[p, 1] + T[0, 2] * points[p, 2]
         y = T[1, 0] * points[p, 0] + T[1, 1] * points[p, 1] + T[1, 2] * points[p, 2]
         z = T[2, 0] * points[p, 0] + T[2, 1] * points[p, 1] + T[2, 2] * points[p, 2]
+        # The patch of tilts moves every point by its share of the chord, whichever way it leans.
         sway = chord * np.sqrt(x * x + y * y + z * z)
         widest = np.int64(1)
         for a in range(3):
@@ -302,6 +304,7 @@ def _exact_arcs(scan, lattice, rotations, q, tilt, cells, begin, entered, angle,
         _nearest_cell(lattice, x, cell)
         for a in range(n):
             cells[p, a] = cell[a]
+        # A stated angle is one rotation: there is nothing to follow.
         if not rotations.continuous:
             continue
         radius = np.sqrt(start[0] * start[0] + start[1] * start[1])
@@ -342,6 +345,7 @@ def _exact_arcs(scan, lattice, rotations, q, tilt, cells, begin, entered, angle,
                         through = f
             if through < 0:
                 break
+            # What is found must fit; the caller comes again with more room.
             if used >= angle.shape[0]:
                 return -1
             for a in range(n):
@@ -433,6 +437,7 @@ def _sweep(scan, tables, cells, begin, entered, angle, owner, order, first, last
     bound takes the better side of each, the score only what holds on an open interval.
     """
     count = scan.points.shape[0]
+    # The score at the beginning of the interval, and what each point adds to it.
     total = np.int64(0)
     for p in range(count):
         current[p] = _weight(tables, cells[p], shift)
@@ -545,6 +550,7 @@ def _slot(scan, lattice, rotations, tables, arcs, level, q, tilt):
 def _forbidden(lattice, region, level, shift):
     """Tell whether no shift of a block of 2^level may be taken: none is marked, or all lie beside the region's box."""
     n = shift.shape[0]
+    # First what the map says of its blocks: one look-up; then the region's box, corner by corner.
     if region.allowed.shape[0] > 0:
         at = np.int64(0)
         for a in range(n):
@@ -716,6 +722,7 @@ def _expand(scan, lattice, rotations, tables, arcs, region, stack, base, level, 
     n = shift.shape[0]
     below = level - 1
     half = np.int64(1) << below
+    # Groups are powers of two units, so that a group's children begin where it does.
     first_yaw = q * rotations.group[level] // rotations.group[below]
     last_yaw = -(-min((q + 1) * rotations.group[level], rotations.count) // rotations.group[below])
     child = np.empty(n, np.int64)
@@ -765,6 +772,7 @@ def probe(
     interval = np.empty(2)
     bounds = np.empty(1 << n, np.int64)
     shift = np.empty(n, np.int64)
+    # Level by level only the best are carried on; their children compete with each other.
     kept = min(widths[region.top], root_bound.shape[0])
     yaw = root_node[:kept, 0].copy()
     tilt = root_node[:kept, 1].copy()
@@ -813,6 +821,7 @@ def deepen(scan, lattice, rotations, tables, arcs, region, root_bound, root_node
     bounds = np.empty(1 << n, np.int64)
     r = begin
     room = stack.bound.shape[0] - most_children(rotations, region.top, n)
+    # Roots are sorted: behind the first that cannot win none can.
     while r < root_bound.shape[0] and root_bound[r] > state[BEST] and used <= room:
         if not _left_out(lattice, rotations, region, region.top, root_node[r, 0], root_node[r, 1], root_node[r, 2:]):
             more = _expand(

@@ -198,12 +198,7 @@ class GlobalMatcher:
         if p.ndim != 2 or p.shape[1] != n:
             raise ArgumentError(f"the map is of dimension {n}, the scan {p.shape}")
         region = region or SearchRegion()
-        if region.tilt > 0.0 and n == 2:
-            raise ArgumentError("a scan of the plane cannot be tilted")
-        if not (apart[0] >= 0.0 and apart[1] >= 0.0) or (runner_up is not None and not 0.0 <= runner_up <= 1.0):
-            raise ArgumentError(f"not a neighbourhood, or not a part of a score: {apart}, {runner_up}")
-        if angles != "continuous" and not (isinstance(angles, (int, float)) and 0.0 < angles <= math.pi):
-            raise ArgumentError(f"angles are 'continuous' or a step in radians, not {angles!r}")
+        _check(n, region, angles, apart, runner_up)
         if len(p) == 0 or self.pyramid.most == 0:
             return None
         end = math.inf if time_limit is None else time.monotonic() + time_limit
@@ -245,6 +240,24 @@ class GlobalMatcher:
             contradicted=contradicted_share(self.pyramid, p, pose) if beams else None,
             information=None if covariance is None else np.asarray(np.linalg.inv(covariance), np.float64),
         )
+
+
+def _check(
+    n: int, region: SearchRegion, angles: str | float, apart: tuple[float, float], runner_up: float | None
+) -> None:
+    """Check what a match is asked for in a map of dimension ``n``.
+
+    Raises:
+        ArgumentError: a value is out of its range.
+    """
+    if region.tilt > 0.0 and n == 2:
+        raise ArgumentError("a scan of the plane cannot be tilted")
+    if not (apart[0] >= 0.0 and apart[1] >= 0.0):
+        raise ArgumentError(f"a neighbourhood takes metres and radians of 0 or more, not {apart}")
+    if runner_up is not None and not 0.0 <= runner_up <= 1.0:
+        raise ArgumentError(f"other poses are looked for down to a share of 0 to 1 of the best score, not {runner_up}")
+    if angles != "continuous" and not (isinstance(angles, (int, float)) and 0.0 < angles <= math.pi):
+        raise ArgumentError(f"angles are 'continuous' or a step in radians, not {angles!r}")
 
 
 class _Search:
