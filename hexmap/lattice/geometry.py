@@ -137,6 +137,9 @@ def cone_bases(vertices: FloatArray, rings: list[IntArray]) -> FloatArray:
     """Return the faces cut into simplices (K, n, n): edges in the plane, triangles in space."""
     simplices = []
     for ring in rings:
+        # A face thinner than corners are told apart has fewer corners than a face needs, and holds nothing.
+        if len(ring) < vertices.shape[1]:
+            continue
         corners = vertices[ring]
         if vertices.shape[1] == 2:
             simplices.append(corners)
