@@ -72,6 +72,10 @@ class MotionPredictor:
             self._set_odometry(scan.odometry)
         return tuple(readings)
 
+    def move_to(self, T_map_robot: Pose) -> None:
+        """Go on from another pose of the robot at the last scan: the map's frame has moved under it."""
+        self._T_map_robot = T_map_robot
+
     def register(self, scan: Scan) -> RegisteredScan:
         """Return the scan at the pose that is predicted."""
         predicted = self.predict(scan)

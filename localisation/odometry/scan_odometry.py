@@ -56,13 +56,27 @@ class ScanOdometry:
         """Make an odometry on the map in ``builder``; ``mount`` is T_robot_laser where the settings do not say."""
         self.settings = settings
         self.mount = make_mount(settings, mount)
-        self._builder = builder
         self._motion = MotionPredictor(use_odometry=settings.use_odometry, mount=self.mount)
         self._matcher = LocalMatcher(SearchWindow(settings.search_metres, settings.search_radians))
+        self.match_against(builder)
+
+    def match_against(self, builder: MapBuilder) -> None:
+        """Match the next scans against what is in ``builder``."""
+        settings = self.settings
+        self._builder = builder
         self._coarse = Occupancy.of_counter(builder.counter(settings.search_level), settings.rule)
         self._fine = self._coarse
         if settings.search_level != 0:
             self._fine = Occupancy.of_counter(builder.counter(0), settings.rule)
+
+    @property
+    def occupied(self) -> Occupancy:
+        """The occupied cells of the finest level, as they are now."""
+        return self._fine
+
+    def move_to(self, T_map_robot: Pose) -> None:
+        """Go on from another pose of the robot at the last scan: the map's frame has moved under it."""
+        self._motion.move_to(T_map_robot)
 
     @property
     def jumps(self) -> int:

@@ -1,0 +1,356 @@
+"""Find loops: old submaps in which a new one lies, beyond doubt.
+
+Where a new submap may lie in an old one the graph says itself, with how sure it is; that window, up to the whole of it,
+is searched with a certificate. A match is believed only after a row of tests, each of which some false match fails that
+passes the others; what was tried is recorded with its numbers and the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.pose import Pose, wrap_angle
+from localisation.matching.global_matcher import GlobalMatcher
+from localisation.matching.information import score_covariance
+from localisation.matching.match import Match
+from localisation.matching.refinement import refine_on
+from localisation.matching.search_region import SearchRegion
+from localisation.slam import planar
+from localisation.slam.pose_graph import Edge, PoseGraph
+from localisation.slam.settings import LoopSettings
+from localisation.slam.submap import Cells, Submap, SubmapCells
+
+__all__ = ["LoopCloser", "LoopRecord", "local_covariance"]
+
+# Nodes between two submaps that have a scan in common or one beside the other's.
+_NEIGHBOURS = 3
+# Points of a submap that are matched at most: more take longer and say no more.
+_MOST_POINTS = 400
+# In cells of the finest level: two submaps whose relative pose is known so well gain nothing by another loop.
+_KNOWN = 0.5
+# Share of the squares of a metre that must lie on those of the other where the graph knows where they are.
+_LEAST_IN_VIEW = 0.3
+
+
+@dataclass(frozen=True)
+class LoopRecord:
+    """What was tried, and what came of it; numbers that were not reached are None.
+
+    Attributes:
+        i: node of the old submap.
+        j: node of the new one, which is looked for.
+        accepted: whether the loop is in the graph.
+        reason: why not, or "accepted".
+        sigma_metres: standard deviation of where j lay in i before, along the worst axis.
+        sigma_radians: of its heading.
+        score: cells that coincide at best.
+        total: cells there were.
+        gap: by how much a better pose could score more.
+        margin: by how much the best outscores all others in the window, 0 to 1.
+        overlap: share of the cells of one that meet a wall of the other.
+        contradicted: share of the walls known to the other that are free there.
+        reverse_metres: by how much the search of i in j differs.
+        reverse_radians: the same for the heading.
+        chi2: squared normalised distance from where the graph had it.
+        pose: (3,) T_i_j.
+        covariance: (3, 3) of a small motion in the frame of j.
+    """
+
+    i: int
+    j: int
+    accepted: bool
+    reason: str
+    sigma_metres: float
+    sigma_radians: float
+    score: int | None = None
+    total: int | None = None
+    gap: int | None = None
+    margin: float | None = None
+    overlap: float | None = None
+    contradicted: float | None = None
+    reverse_metres: float | None = None
+    reverse_radians: float | None = None
+    chi2: float | None = None
+    pose: tuple[float, ...] | None = None
+    covariance: tuple[tuple[float, ...], ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """An old submap, where the new one lies in it (3,), and how sure that is (3, 3)."""
+
+    i: int
+    pose: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sigma(self) -> tuple[float, float]:
+        """Standard deviations: metres along the worst axis, radians."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1])), math.sqrt(self.covariance[2, 2])
+
+
+def local_covariance(covariance: FloatArray, pose: Pose) -> FloatArray:
+    """Return a covariance of translation and heading in the outer frame as one of small motions in the inner frame."""
+    turn = np.eye(3)
+    turn[:2, :2] = pose.rotation.T
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+class LoopCloser:
+    """Looks for loops from each new submap to the old ones.
+
+    Attributes:
+        records: everything that was tried, in order.
+    """
+
+    def __init__(self, graph: PoseGraph, submaps: list[Submap], cells: SubmapCells, settings: LoopSettings) -> None:
+        """Take the graph and the submaps, which grow, and what makes their cells."""
+        from scipy.stats import chi2
+
+        self._graph, self._submaps, self._cells, self.settings = graph, submaps, cells, settings
+        self._limit = float(chi2.ppf(settings.probability, 3))
+        self.records: list[LoopRecord] = []
+        self._waiting: list[int] = []
+        self._tried: dict[tuple[int, int], float] = {}
+
+    # ------------------------------------------------------------------ candidates
+
+    def candidates(self, j: int) -> list[_Candidate]:
+        """Return the old submaps in which submap ``j`` may lie, the likeliest first: one of each earlier visit."""
+        new = self._submaps[j]
+        last = j - _NEIGHBOURS
+        if last < 0:
+            return []
+        poses = self._graph.poses
+        spread = self._graph.relative_covariances(j, [0])[0]
+        slack = self.settings.sigmas * math.sqrt(max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0))
+        middles = np.array([submap.middle for submap in self._submaps[: last + 1]])
+        reaches = np.array([submap.reach for submap in self._submaps[: last + 1]])
+        at = planar.compose(poses[: last + 1], np.column_stack([middles, np.zeros(last + 1)]))[:, :2]
+        mine = planar.to_pose(poses[j]).apply(new.middle[None])[0]
+        near = np.flatnonzero(np.hypot(*(at - mine).T) < reaches + new.reach + slack)
+        chosen = []
+        for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+            if len(run):
+                views = [self._in_view(int(i), j) for i in run]
+                best = int(np.argmax(views))
+                chosen.append((views[best], int(run[best])))
+        if not chosen:
+            return []
+        numbers = [i for _, i in chosen]
+        covariances = self._graph.relative_covariances(j, numbers)
+        found = []
+        for (view, i), of_i in zip(chosen, covariances, strict=True):
+            pose = planar.between(poses[i], poses[j])
+            # Held at j, it is the covariance of i: as seen from i it is the same motion in the frame of j.
+            A = planar.adjoint(planar.invert(pose))
+            candidate = _Candidate(i, pose, A @ of_i @ A.T)
+            metres, radians = candidate.sigma
+            if self._is_known(metres, radians, new) or self._was_tried(i, j, metres):
+                continue
+            if view < _LEAST_IN_VIEW and self.settings.sigmas * metres < 1.0:
+                continue
+            found.append((-view, candidate))
+        found.sort(key=lambda pair: (pair[0], pair[1].i))
+        return [candidate for _, candidate in found[: self.settings.searches]]
+
+    def _in_view(self, i: int, j: int) -> float:
+        """Return which share of the squares of the one with fewer lies on squares of the other, or beside them."""
+        a, b = self._submaps[i], self._submaps[j]
+        poses = self._graph.pose(i), self._graph.pose(j)
+        moved = planar.to_pose(planar.between(*poses)).apply(b.coarse)
+        distances = np.abs(moved[:, None] - a.coarse[None]).max(axis=2)
+        met = int((distances.min(axis=1) < 1.0).sum()), int((distances.min(axis=0) < 1.0).sum())
+        return met[1] / len(a.coarse) if len(a.coarse) < len(b.coarse) else met[0] / max(1, len(b.coarse))
+
+    def _is_known(self, metres: float, radians: float, new: Submap) -> bool:
+        known = _KNOWN * self._cells.fine.resolution
+        return metres < known and radians * new.reach < 2.0 * known
+
+    def _was_tried(self, i: int, j: int, metres: float) -> bool:
+        before = self._tried.get((i, j))
+        return before is not None and 0.5 * before <= metres <= 2.0 * before
+
+    # ------------------------------------------------------------------ one after the other
+
+    def look(self, j: int) -> list[int]:
+        """Look for loops from submap ``j``; the edges of those that are believed go into the graph.
+
+        Returns:
+            The numbers of the new edges.
+        """
+        new = []
+        for candidate in self.candidates(j):
+            self._tried[candidate.i, j] = candidate.sigma[0]
+            record = self._try(candidate, j)
+            if record.reason == "waiting":
+                record, partner = self._confirm(record)
+                if partner is not None:
+                    new.append(self._accept(partner))
+            self.records.append(record)
+            if record.accepted:
+                new.append(self._add(record))
+            elif record.reason == "waiting":
+                self._waiting.append(len(self.records) - 1)
+        return new
+
+    def finish(self) -> None:
+        """Give up what still waits for a second loop."""
+        for number in self._waiting:
+            self.records[number] = replace(self.records[number], reason="no second loop agrees")
+        self._waiting.clear()
+
+    def throw_out(self, edges: Sequence[int]) -> None:
+        """Note the loops that the graph has thrown out."""
+        pairs = {(self._graph.edges[e].i, self._graph.edges[e].j) for e in edges}
+        for k, record in enumerate(self.records):
+            if record.accepted and (record.i, record.j) in pairs:
+                self.records[k] = replace(record, accepted=False, reason="thrown out by the graph")
+
+    def _accept(self, number: int) -> int:
+        self.records[number] = replace(self.records[number], accepted=True, reason="accepted")
+        return self._add(self.records[number])
+
+    def _add(self, record: LoopRecord) -> int:
+        edge = Edge(record.i, record.j, np.array(record.pose), np.array(record.covariance), loop=True)
+        return self._graph.add_edge(edge)
+
+    def _confirm(self, record: LoopRecord) -> tuple[LoopRecord, int | None]:
+        """Look for a loop that waits and agrees with this one around their cycle; returns its number."""
+        for number in self._waiting:
+            other = self.records[number]
+            if abs(other.j - record.j) < _NEIGHBOURS - 1 and other.i != record.i:
+                continue
+            if self._cycle(other, record) <= self._limit:
+                self._waiting.remove(number)
+                return replace(record, accepted=True, reason="accepted"), number
+        return record, None
+
+    def _cycle(self, a: LoopRecord, b: LoopRecord) -> float:
+        """Return the squared normalised error around the cycle of two loops and the chain between their ends."""
+        poses = self._graph.poses
+        step_i, step_j = planar.between(poses[a.i], poses[b.i]), planar.between(poses[a.j], poses[b.j])
+        pose_a, pose_b = np.array(a.pose), np.array(b.pose)
+        # From a's old submap to b's new one both ways round.
+        by_a, by_b = planar.compose(pose_a, step_j), planar.compose(step_i, pose_b)
+        to_b = planar.adjoint(planar.invert(step_j))
+        of_a = to_b @ np.array(a.covariance) @ to_b.T
+        of_j = self._graph.relative_covariances(a.j, [b.j])[0]
+        along = planar.adjoint(planar.invert(pose_b))
+        of_i = along @ self._graph.relative_covariances(a.i, [b.i])[0] @ along.T
+        off = planar.between(by_a, by_b)
+        return float(off @ np.linalg.solve(of_a + of_j + of_i + np.array(b.covariance), off))
+
+    # ------------------------------------------------------------------ one candidate
+
+    def _try(self, candidate: _Candidate, j: int) -> LoopRecord:
+        """Search, and put the match through the tests, the cheap ones first."""
+        settings = self.settings
+        old, new = self._cells.of(self._submaps[candidate.i]), self._cells.of(self._submaps[j])
+        metres, radians = candidate.sigma
+        record = LoopRecord(candidate.i, j, False, "", metres, radians)
+        if min(len(old.points), len(new.points)) < settings.min_cells:
+            return replace(record, reason="too few walls")
+        match = self._search(old, new, candidate.pose, candidate.covariance)
+        if match is None:
+            return replace(record, reason="no wall meets another")
+        record = replace(record, score=match.score, total=match.total, gap=match.gap, margin=match.margin)
+        if not match.certified or match.gap:
+            return replace(record, reason="the search was not finished")
+        if match.margin < settings.min_margin:
+            return replace(record, reason="another place fits as well")
+        pose = refine_on(old.fine, new.fine_points, match.pose, searched=self._cells.lattice).pose
+        met, overlap, contradicted = _agreement(old, new, pose)
+        record = replace(record, overlap=overlap, contradicted=contradicted, pose=tuple(planar.of_pose(pose).tolist()))
+        if met < settings.min_cells or overlap < settings.min_overlap:
+            return replace(record, reason="too little overlap")
+        if contradicted > settings.max_contradicted:
+            return replace(record, reason="walls where the other is free")
+        return self._check_further(record, old, new, candidate, match, pose)
+
+    def _check_further(
+        self, record: LoopRecord, old: Cells, new: Cells, candidate: _Candidate, match: Match, pose: Pose
+    ) -> LoopRecord:
+        """Search the other way round, and compare with what the graph knew."""
+        settings = self.settings
+        back, away = planar.invert(candidate.pose), planar.adjoint(candidate.pose)
+        reverse = self._search(new, old, back, away @ candidate.covariance @ away.T, runner_up=None)
+        if reverse is None:
+            return replace(record, reason="the reverse search finds nothing")
+        reverse_pose = refine_on(new.fine, old.fine_points, reverse.pose, searched=self._cells.lattice).pose
+        # Where the walls of the new submap come to lie by one and by the other.
+        middle = self._submaps[record.j].middle[None]
+        off = math.dist(reverse_pose.inverse().apply(middle)[0], pose.apply(middle)[0])
+        turned = abs(float(wrap_angle(reverse_pose.theta + pose.theta)))
+        record = replace(record, reverse_metres=off, reverse_radians=turned)
+        if off > settings.reverse_cells * self._cells.lattice.resolution or turned > settings.reverse_radians:
+            return replace(record, reason="the reverse search differs")
+        points = _some(new.points)
+        covariance = score_covariance(old.pyramid, points, np.ones(len(points), np.int64), match.searched)
+        covariance = local_covariance(covariance, pose)
+        found = planar.of_pose(pose)
+        off_graph = planar.between(candidate.pose, found)
+        chi2 = float(off_graph @ np.linalg.solve(candidate.covariance + covariance, off_graph))
+        record = replace(record, chi2=chi2, covariance=tuple(map(tuple, covariance.tolist())))
+        if chi2 > self._limit:
+            return replace(record, reason="too far from where the graph has it")
+        if record.sigma_metres > settings.confirm_metres:
+            return replace(record, reason="waiting")
+        return replace(record, accepted=True, reason="accepted")
+
+    def _search(
+        self, old: Cells, new: Cells, pose: FloatArray, covariance: FloatArray, runner_up: float | None = 0.9
+    ) -> Match | None:
+        """Search one submap in another where a pose (3,) and its covariance (3, 3) let it lie."""
+        lattice = self._cells.lattice
+        turn = planar.to_pose(pose).rotation
+        sides = np.sqrt(np.diag(turn @ covariance[:2, :2] @ turn.T)) * self.settings.sigmas + 2.0 * lattice.resolution
+        yaw = self.settings.sigmas * math.sqrt(covariance[2, 2]) + lattice.resolution / max(1.0, _reach(new.points))
+        # Farther away than both reach nothing can meet.
+        sides = np.minimum(sides, _reach(old.points) + _reach(new.points) + float(np.hypot(*pose[:2])))
+        low, high = pose[:2] - sides, pose[:2] + sides
+        matcher = GlobalMatcher(old.pyramid, _box(lattice, low, high))
+        return matcher.match(
+            _some(new.points), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)), runner_up=runner_up,
+            refine=False, beams=False, information=False, node_limit=self.settings.node_limit,
+        )  # fmt: skip
+
+
+def _some(points: FloatArray) -> FloatArray:
+    """Return so many points (P, n) at most, spread over all."""
+    if len(points) <= _MOST_POINTS:
+        return points
+    return points[np.linspace(0, len(points) - 1, _MOST_POINTS).astype(np.int64)]
+
+
+def _reach(points: FloatArray) -> float:
+    return math.sqrt(float((points**2).sum(axis=1).max())) if len(points) else 0.0
+
+
+def _box(lattice: Lattice, low: FloatArray, high: FloatArray) -> VoxelList:
+    """Return all cells of a box, whose corners are in metres, and those around it."""
+    corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+    u = corners @ np.linalg.inv(lattice.basis).T
+    first, last = np.floor(u.min(axis=0)).astype(np.int64) - 1, np.ceil(u.max(axis=0)).astype(np.int64) + 1
+    grids = np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(first, last, strict=True)], indexing="ij")
+    return VoxelList.from_cells(np.stack([g.ravel() for g in grids], axis=1), lattice)
+
+
+def _agreement(old: Cells, new: Cells, pose: Pose) -> tuple[int, float, float]:
+    """Return how many cells of the smaller meet a wall, which share, and which share of what both know is free."""
+    lattice = old.occupied.lattice
+    counts = []
+    for there, points, T in ((old, new.points, pose), (new, old.points, pose.inverse())):
+        index = lattice.quantise(T.apply(points))
+        met = there.walls.contains(index)
+        counts.append((int(met.sum()), int((~met & there.free.contains(index)).sum()), len(points)))
+    met, _, total = min(counts, key=lambda count: count[2])
+    free, both = counts[0][1] + counts[1][1], counts[0][0] + counts[1][0]
+    return met, met / total, free / max(1, free + both)

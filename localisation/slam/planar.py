@@ -1,0 +1,60 @@
+"""Poses of the plane as rows x, y, heading: many at once, for corrections and for what is kept of a log."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.poses.pose import Pose, wrap_angle
+
+__all__ = ["adjoint", "between", "blend", "compose", "invert", "of_pose", "to_pose"]
+
+
+def of_pose(pose: Pose) -> FloatArray:
+    """Return a pose of the plane as a row (3,)."""
+    return np.array([pose.x, pose.y, pose.theta])
+
+
+def to_pose(row: FloatArray) -> Pose:
+    """Return the pose of a row (3,)."""
+    return Pose.planar(float(row[0]), float(row[1]), float(row[2]))
+
+
+def compose(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return ``a @ b`` for rows (..., 3)."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    return np.stack([x, y, wrap_angle(a[..., 2] + b[..., 2])], axis=-1)
+
+
+def invert(a: FloatArray) -> FloatArray:
+    """Return the inverses of rows (..., 3)."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack([-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], -a[..., 2]], axis=-1)
+
+
+def between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return ``a^-1 @ b`` for rows (..., 3)."""
+    return compose(invert(a), b)
+
+
+def blend(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
+    """Return the poses ``share`` (...,) of the way from rows ``a`` to rows ``b`` (..., 3), which lie close together."""
+    return compose(a, between(a, b) * share[..., None])
+
+
+def adjoint(a: FloatArray) -> FloatArray:
+    """Return the adjoints (..., 3, 3) of rows (..., 3): how a small motion in the inner frame looks in the outer."""
+    out = np.zeros((*a.shape[:-1], 3, 3))
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = c, -s, s, c
+    out[..., 0, 2], out[..., 1, 2], out[..., 2, 2] = a[..., 1], -a[..., 0], 1.0
+    return out
+
+
+def lever(row: FloatArray, reach: float) -> float:
+    """Return by how many metres a small motion (3,) moves a point ``reach`` metres away at most."""
+    return math.hypot(float(row[0]), float(row[1])) + abs(float(row[2])) * reach

@@ -1,0 +1,258 @@
+"""The graph of the submaps' poses: what scan matching says from one to the next, and the loops between them.
+
+The poses are found with gtsam: Gauss-Newton with Levenberg's and Marquardt's damping, and where loops may be false with
+graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, "Graduated non-convexity for robust spatial perception",
+2020), in which the edges of the chain are known to be true. Covariances come from the normal equations here, because
+gtsam's joint marginals of many pairs take a factorisation each.
+
+A covariance is that of a small motion in the frame of the later pose, x, y, heading: gtsam's order in the plane.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.atomic_files import atomic_path
+from hexmap.base.errors import MissingDependencyError
+from localisation.slam.planar import adjoint, between
+
+__all__ = ["Edge", "PoseGraph", "import_gtsam"]
+
+# So stiff is the first pose: the frame is where it is.
+_FIXED = 1e-6
+# A loop keeps this weight of 0 to 1 at least, or the robust solution has thrown it out.
+_KEPT = 0.5
+
+
+def import_gtsam() -> Any:
+    """Return the module.
+
+    Raises:
+        MissingDependencyError: it is not installed, or cannot be loaded.
+    """
+    try:
+        import gtsam
+    except (ImportError, OSError) as error:
+        raise MissingDependencyError(
+            f"closing loops needs the package gtsam, which cannot be loaded ({error}); pip install gtsam, or "
+            "--no-loop-closure"
+        ) from error
+    return gtsam
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """What is known of one pose seen from another.
+
+    Attributes:
+        i: number of the node that is seen from.
+        j: number of the node that is seen.
+        pose: (3,) T_i_j.
+        covariance: (3, 3) of a small motion in the frame of j.
+        loop: whether it closes a loop, and so may be false.
+    """
+
+    i: int
+    j: int
+    pose: FloatArray
+    covariance: FloatArray
+    loop: bool = False
+
+
+class PoseGraph:
+    """Poses of nodes and the edges between them; the first node never moves.
+
+    Attributes:
+        edges: all edges, in the order in which they came.
+        weights: (E,) what the robust solution left of each edge, 0 to 1.
+    """
+
+    def __init__(self) -> None:
+        """Make a graph without a node."""
+        self._poses: list[FloatArray] = []
+        self.edges: list[Edge] = []
+        self.weights: list[float] = []
+        self._factors: list[Any] = []
+
+    def __len__(self) -> int:
+        """Return the number of nodes."""
+        return len(self._poses)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what gtsam made: it is made again."""
+        return {**self.__dict__, "_factors": []}
+
+    @property
+    def poses(self) -> FloatArray:
+        """(N, 3) the poses of all nodes as they are now."""
+        return np.array(self._poses).reshape(-1, 3)
+
+    def pose(self, node: int) -> FloatArray:
+        """Return the pose (3,) of a node."""
+        return self._poses[node]
+
+    def add_node(self, pose: FloatArray) -> int:
+        """Add a node at a pose (3,); returns its number."""
+        self._poses.append(np.asarray(pose, np.float64))
+        return len(self._poses) - 1
+
+    def add_edge(self, edge: Edge) -> int:
+        """Add an edge between two nodes; returns its number."""
+        self.edges.append(edge)
+        self.weights.append(1.0)
+        return len(self.edges) - 1
+
+    # ------------------------------------------------------------------ solving
+
+    def optimise(self) -> None:
+        """Move the nodes to where the edges that are believed want them."""
+        if len(self) < 2:
+            return
+        gtsam = import_gtsam()
+        graph = self._graph(gtsam, [e for e, weight in enumerate(self.weights) if weight >= _KEPT])
+        params = gtsam.LevenbergMarquardtParams()
+        self._take(gtsam.LevenbergMarquardtOptimizer(graph, self._values(gtsam), params).optimize())
+
+    def optimise_robustly(self, probability: float = 0.999) -> list[int]:
+        """Move the nodes, and throw out loops that do not fit; the edges of the chain are known to be true.
+
+        Args:
+            probability: of a true loop to be kept.
+
+        Returns:
+            The numbers of the edges that were believed before and are thrown out now.
+        """
+        loops = [e for e, edge in enumerate(self.edges) if edge.loop and self.weights[e] >= _KEPT]
+        if not loops:
+            self.optimise()
+            return []
+        gtsam = import_gtsam()
+        chosen = [e for e, edge in enumerate(self.edges) if not edge.loop] + loops
+        params = gtsam.GncLMParams()
+        params.setLossType(gtsam.GncLossType.TLS)
+        params.setKnownInliers(list(range(len(chosen) - len(loops))) + [len(chosen)])
+        solver = gtsam.GncLMOptimizer(self._graph(gtsam, chosen), self._values(gtsam), params)
+        solver.setInlierCostThresholdsAtProbability(probability)
+        self._take(solver.optimize())
+        kept = np.asarray(solver.getWeights())[: len(chosen)]
+        out = []
+        for e, weight in zip(chosen, kept.tolist(), strict=True):
+            if self.edges[e].loop and weight < _KEPT:
+                self.weights[e] = 0.0
+                out.append(e)
+        # Once more without them: the last round of the robust solution may not have settled.
+        self.optimise()
+        return out
+
+    def _graph(self, gtsam: Any, chosen: Sequence[int]) -> Any:
+        """Return some of the edges as factors, and last the place of the first node."""
+        while len(self._factors) < len(self.edges):
+            edge = self.edges[len(self._factors)]
+            noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+            self._factors.append(gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.pose), noise))
+        graph = gtsam.NonlinearFactorGraph()
+        for e in chosen:
+            graph.add(self._factors[e])
+        fixed = gtsam.noiseModel.Isotropic.Sigma(3, _FIXED)
+        graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*self._poses[0]), fixed))
+        return graph
+
+    def _values(self, gtsam: Any) -> Any:
+        values = gtsam.Values()
+        for k, pose in enumerate(self._poses):
+            values.insert(k, gtsam.Pose2(*pose))
+        return values
+
+    def _take(self, values: Any) -> None:
+        # The first node's row is not touched: the frame of the map must not move by a rounding error.
+        for k in range(1, len(self)):
+            pose = values.atPose2(k)
+            self._poses[k] = np.array([pose.x(), pose.y(), pose.theta()])
+
+    # ------------------------------------------------------------------ how sure
+
+    def residuals(self) -> FloatArray:
+        """Return the squared normalised residual (E,) of every edge at the poses as they are now."""
+        if not self.edges:
+            return np.zeros(0)
+        poses = self.poses
+        i, j = np.array([e.i for e in self.edges]), np.array([e.j for e in self.edges])
+        off = between(np.array([e.pose for e in self.edges]), between(poses[i], poses[j]))
+        covariances = np.array([e.covariance for e in self.edges])
+        return np.einsum("ea,ea->e", off, np.linalg.solve(covariances, off[..., None])[..., 0])
+
+    def relative_covariances(self, origin: int, others: Sequence[int]) -> FloatArray:
+        """Return the covariances (M, 3, 3) of other nodes as seen from one node: small motions in the others' frames.
+
+        With the node held where it is, its own uncertainty drops out: the marginals of the others are those of their
+        poses relative to it.
+        """
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        n = len(self)
+        out = np.zeros((len(others), 3, 3))
+        wanted = [(m, node) for m, node in enumerate(others) if node != origin]
+        if not wanted:
+            return out
+        rows, columns, values = self._normal_equations()
+        kept = (rows // 3 != origin) & (columns // 3 != origin)
+        rows, columns = rows - 3 * (rows // 3 > origin), columns - 3 * (columns // 3 > origin)
+        size = 3 * (n - 1)
+        matrix = csc_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
+        solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
+        for begin in range(0, len(wanted), 64):
+            some = wanted[begin : begin + 64]
+            at = np.array([3 * (node - (node > origin)) for _, node in some])
+            units = np.zeros((size, 3 * len(some)))
+            entries = (at[:, None] + np.arange(3)).ravel()
+            units[entries, np.arange(3 * len(some))] = 1.0
+            solved = solver.solve(units)
+            for s, (m, _) in enumerate(some):
+                block = solved[at[s] : at[s] + 3, 3 * s : 3 * s + 3]
+                out[m] = 0.5 * (block + block.T)
+        return out
+
+    def _normal_equations(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return rows, columns and values of the matrix of the normal equations at the poses as they are now."""
+        edges = [e for e, weight in zip(self.edges, self.weights, strict=True) if weight >= _KEPT]
+        poses = self.poses
+        i, j = np.array([e.i for e in edges]), np.array([e.j for e in edges])
+        information = np.linalg.inv(np.array([e.covariance for e in edges]))
+        # A small motion of i looks like this in the frame of j.
+        A = -adjoint(between(poses[j], poses[i]))
+        At = np.swapaxes(A, 1, 2)
+        blocks = [(i, i, At @ information @ A), (j, j, information), (i, j, At @ information), (j, i, information @ A)]
+        three = np.arange(3)
+        rows, columns, values = [], [], []
+        for a, b, block in blocks:
+            rows.append(np.broadcast_to((3 * a)[:, None, None] + three[:, None], block.shape).ravel())
+            columns.append(np.broadcast_to((3 * b)[:, None, None] + three, block.shape).ravel())
+            values.append(block.ravel())
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+
+    # ------------------------------------------------------------------ files
+
+    def write_g2o(self, path: str | os.PathLike[str]) -> None:
+        """Write nodes and the edges that are believed as a g2o file (VERTEX_SE2, EDGE_SE2).
+
+        Raises:
+            FileAccessError: the folder is missing or not writable.
+        """
+        with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as handle:
+            for k, (x, y, theta) in enumerate(self.poses.tolist()):
+                handle.write(f"VERTEX_SE2 {k} {x:.9f} {y:.9f} {theta:.12f}\n")
+            if len(self):
+                handle.write("FIX 0\n")
+            for edge, weight in zip(self.edges, self.weights, strict=True):
+                if weight < _KEPT:
+                    continue
+                upper = np.linalg.inv(edge.covariance)[np.triu_indices(3)]
+                numbers = " ".join(f"{v:.12g}" for v in [*edge.pose.tolist(), *upper.tolist()])
+                handle.write(f"EDGE_SE2 {edge.i} {edge.j} {numbers}\n")

@@ -1,0 +1,343 @@
+"""Simultaneous localisation and mapping of a planar log: predict, match, fuse into the submap, look for loops, optimise.
+
+A scan is matched against the scans just before it and those old submaps whose place the graph knows well enough; it
+becomes a node of the graph where enough path has come together since the last one. Each finished submap is looked for
+in the old ones. All poses are kept relative to nodes, so that whatever moves a node moves what was seen from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Odometry, Scan
+from localisation.matching.global_matcher import thin
+from localisation.matching.information import score_covariance
+from localisation.matching.match import Match
+from localisation.odometry.odometry import RegisteredScan
+from localisation.odometry.scan_odometry import ScanOdometry
+from localisation.settings import MappingSettings, limit_of
+from localisation.slam import planar
+from localisation.slam.local_map import LocalMap
+from localisation.slam.loop_closer import LoopCloser, LoopRecord, local_covariance
+from localisation.slam.pose_graph import Edge, PoseGraph, import_gtsam
+from localisation.slam.settings import LoopSettings
+from localisation.slam.submap import CompactScan, Stretch, Submap, SubmapCells, compact, make_stretch
+
+__all__ = ["Slam", "SlamResult"]
+
+# In cells of the finest level: the local map is made anew where a submap in it has moved by more.
+_MOVED = 0.25
+# Variance of the edge between two nodes, in that of the match of the later one's scan alone. The scans between them
+# hand the error on and add their own.
+_CHAIN = 4.0
+# A point this far away moves as the heading does.
+_LEVER = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class SlamResult:
+    """All poses of a log.
+
+    Attributes:
+        stamps: (N,) seconds, of all laser and odometry readings in the log's order.
+        poses: (N, 3) T_map_robot: x, y in metres, heading in radians.
+        is_scan: (N,) which of them are scans.
+        covariances: (N, 3, 3) of a small motion in the robot's frame, relative to the first pose.
+        scans: the scans, as they are kept.
+        records: every loop that was tried.
+        graph: nodes and edges.
+        node_scans: which scan each node is.
+    """
+
+    stamps: FloatArray
+    poses: FloatArray
+    is_scan: IntArray
+    covariances: FloatArray
+    scans: list[CompactScan]
+    records: list[LoopRecord]
+    graph: PoseGraph
+    node_scans: list[int]
+
+
+class Slam:
+    """Maps a log reading by reading.
+
+    Attributes:
+        graph: nodes and edges so far.
+        submaps: the finished submaps.
+        scans: the scans so far, as they are kept.
+        closer: what looks for loops, with its records.
+        matched: scans that were matched, and
+        unmatched: those that met nothing.
+        fractions: sum of the shares of the matched scans' cells that coincided.
+    """
+
+    def __init__(
+        self, settings: MappingSettings, loops: LoopSettings | None = None, mount: Pose | None = None
+    ) -> None:
+        """Begin with an empty map; ``mount`` is T_robot_laser where the settings do not say.
+
+        Raises:
+            MissingDependencyError: gtsam cannot be loaded.
+        """
+        import_gtsam()
+        self.settings, self.loops = settings, loops or LoopSettings()
+        self._local = LocalMap(settings)
+        self._odometry = ScanOdometry(settings, self._local.builder, mount)
+        self.mount = self._odometry.mount
+        self.graph = PoseGraph()
+        self.submaps: list[Submap] = []
+        self.scans: list[CompactScan] = []
+        lattice = settings.make_lattice()
+        self._cells = SubmapCells(
+            lattice, lattice.scaled(2.0**settings.search_level), settings.rule, self._scan_in_node
+        )
+        self.closer = LoopCloser(self.graph, self.submaps, self._cells, self.loops)
+        self.matched = self.unmatched = 0
+        self.fractions = 0.0
+        self._stretches: list[Stretch] = []
+        self._node_scans: list[int] = []
+        # One entry a reading: stamp, scan or not, node before it, pose seen from that, and way gone since it.
+        self._stamps: list[float] = []
+        self._is_scan: list[bool] = []
+        self._entry_node: list[int] = []
+        self._entry_pose: list[FloatArray] = []
+        self._entry_way: list[float] = []
+        self._scan_entry: list[int] = []
+        self._ways: list[float] = []
+        self._metres = self._radians = 0.0
+        self._last: FloatArray | None = None
+
+    @property
+    def jumps(self) -> int:
+        """Odometry readings that could not be true."""
+        return self._odometry.jumps
+
+    # ------------------------------------------------------------------ reading by reading
+
+    def observe(self, reading: Odometry) -> None:
+        """Take an odometry reading."""
+        self._take_readings(self._odometry.observe(reading))
+
+    def register(self, scan: Scan) -> RegisteredScan:
+        """Take the next scan.
+
+        Raises:
+            BoundsError: a point is out of range; the scan is as if it had not been.
+            TooLargeError: it sees so far that there are too many angles or cells; the same.
+        """
+        registered = self._odometry.register(scan)
+        self._local.fuse(scan, registered.T_map_scan)
+        self._take_readings(registered.readings)
+        if registered.match is not None:
+            self.matched += 1
+            self.fractions += registered.match.fraction
+        elif registered.matched:
+            self.unmatched += 1
+        number = len(self.scans)
+        self.scans.append(compact(scan, no_return=self.settings.clear_no_return > 0.0))
+        pose = planar.of_pose(registered.T_map_robot)
+        self._walk(pose)
+        if number == 0:
+            self.graph.add_node(pose)
+            self._node_scans.append(0)
+        elif self._is_due(number):
+            self._new_node(number, pose, registered.match)
+        self._scan_entry.append(len(self._stamps))
+        self._enter(scan.stamp, True, pose if number == 0 else planar.of_pose(self._now(pose)))
+        return registered
+
+    def _now(self, pose: FloatArray) -> Pose:
+        """Return where the scan that has just come is: at its node, which loops may have moved, or where it was."""
+        at_node = self._node_scans[-1] == len(self.scans) - 1
+        return planar.to_pose(self.graph.pose(len(self.graph) - 1) if at_node else pose)
+
+    def _walk(self, pose: FloatArray) -> None:
+        if self._last is not None:
+            step = planar.between(self._last, pose)
+            self._metres += float(np.hypot(step[0], step[1]))
+            self._radians += abs(float(step[2]))
+        self._last = pose
+
+    def _is_due(self, number: int) -> bool:
+        loops = self.loops
+        enough = self._metres >= loops.node_metres or self._radians >= loops.node_radians
+        return enough and number - self._node_scans[-1] >= loops.node_scans
+
+    def _take_readings(self, readings: tuple[tuple[float, Pose], ...]) -> None:
+        for stamp, pose in readings:
+            self._enter(stamp, False, planar.of_pose(pose))
+
+    def _enter(self, stamp: float, is_scan: bool, pose: FloatArray) -> None:
+        self._stamps.append(stamp)
+        self._is_scan.append(is_scan)
+        self._entry_node.append(max(0, len(self.graph) - 1))
+        self._entry_pose.append(planar.between(self.graph.pose(len(self.graph) - 1), pose) if len(self.graph) else pose)
+        self._entry_way.append(self._metres + self._radians)
+
+    # ------------------------------------------------------------------ node by node
+
+    def _new_node(self, number: int, pose: FloatArray, match: Match | None) -> None:
+        """Make a node of a scan: finish the stretch before it and the submap before that, look for loops."""
+        before = len(self.graph) - 1
+        motion = planar.between(self.graph.pose(before), pose)
+        first = self._node_scans[-1]
+        self._stretches.append(self._stretch(first, number, motion))
+        self.graph.add_node(pose)
+        self._node_scans.append(number)
+        self._ways.append(self._metres + self._radians)
+        self._metres = self._radians = 0.0
+        stretch = self._stretches[-1]
+        submap = Submap.of(before, self._stretches[-2] if before else None, stretch)
+        self.submaps.append(submap)
+        self._local.members[before] = self.graph.pose(before)
+        self.graph.add_edge(Edge(before, before + 1, motion, self._chain_covariance(submap, number, motion, match)))
+        if self.closer.look(before):
+            self.graph.optimise()
+        self._follow()
+
+    def _stretch(self, first: int, last: int, motion: FloatArray) -> Stretch:
+        """Return what the scans from ``first`` on saw that is occupied now, seen from their node."""
+        T_map_node = planar.to_pose(self.graph.pose(len(self.graph) - 1))
+        lattice = self._local.finest
+        points = []
+        for number in range(first, last):
+            _, in_robot = self._usable(number)
+            T_node_robot = planar.to_pose(self._entry_pose[self._scan_entry[number]])
+            points.append(T_node_robot.apply(in_robot))
+        every = np.concatenate(points)
+        occupied = self._odometry.occupied.contains(lattice.quantise(T_map_node.apply(every)))
+        return make_stretch(first, last, motion, every[occupied], lattice)
+
+    def _usable(self, number: int) -> tuple[FloatArray, FloatArray]:
+        """Return the points of a scan that lie in the range that is mapped, in the sensor's and the robot's frame."""
+        points = self.scans[number].points.astype(np.float64)
+        ranges = np.sqrt((points**2).sum(axis=1))
+        points = points[(ranges >= self.settings.min_range) & (ranges <= limit_of(self.settings.max_range))]
+        return points, self.mount.apply(points)
+
+    def _scan_in_node(self, number: int) -> tuple[Scan, Pose]:
+        """Return a scan and T_node_sensor, seen from the node before it."""
+        points, _ = self._usable(number)
+        T_node_robot = planar.to_pose(self._entry_pose[self._scan_entry[number]])
+        return Scan(self.scans[number].stamp, points), T_node_robot @ self.mount
+
+    def _chain_covariance(self, submap: Submap, number: int, motion: FloatArray, match: Match | None) -> FloatArray:
+        """Return how sure the motion to a new node is, by how its scan lies in the submap before it."""
+        cells = self._cells.of(submap)
+        _, points = self._usable(number)
+        window = np.diag([self.settings.search_metres**2] * 2 + [self.settings.search_radians**2])
+        if match is None or len(points) == 0 or len(cells.occupied) == 0:
+            return window
+        kept, weights = thin(points, self._cells.lattice)
+        pose = planar.to_pose(motion)
+        covariance = score_covariance(cells.pyramid, kept, weights, pose)
+        return _CHAIN * local_covariance(covariance, pose)
+
+    def _follow(self) -> None:
+        """Go on from the last node as it is now, on a local map that knows where the submaps are now."""
+        last = len(self.graph) - 1
+        pose = self.graph.pose(last)
+        self._odometry.move_to(planar.to_pose(pose))
+        self._last = pose
+        wanted = self._trusted(last)
+        members = self._local.members
+        limit = _MOVED * self._local.finest.resolution
+        here = self.submaps[last - 1]
+        gone = [k for k in members if k not in wanted and self._meets(k, here)]
+        moved = [k for k in members if k in wanted and self._has_moved(k, last, limit)]
+        if gone or moved or len(members) > 2 * self.loops.most_local:
+            self._renew(wanted)
+            return
+        for k in wanted:
+            if k not in members:
+                self._add_to_local(k)
+
+    def _has_moved(self, k: int, last: int, limit: float) -> bool:
+        """Tell whether a stretch in the local map has moved against the last node since it was put there."""
+        before = planar.between(self._local.members[k], self.graph.pose(k))
+        return planar.lever(before, self.submaps[k].reach) > limit
+
+    def _meets(self, k: int, here: Submap) -> bool:
+        """Tell whether what a submap saw may be seen from another, or on the way to the next node."""
+        there = self.submaps[k]
+        a = planar.to_pose(self.graph.pose(k)).apply(there.middle[None])[0]
+        b = planar.to_pose(self.graph.pose(here.number)).apply(here.middle[None])[0]
+        return bool(np.hypot(*(a - b)) < there.reach + here.reach + self.loops.node_metres)
+
+    def _trusted(self, last: int) -> list[int]:
+        """Return the nodes near the last one whose place is known well enough to match scans against them."""
+        here = self.submaps[last - 1]
+        near = [k for k in range(last) if self._meets(k, here)]
+        poses = self.graph.poses
+        distance = np.hypot(*(poses[near, :2] - poses[last, :2]).T)
+        # The nearest first; of equally near ones the later one.
+        order = sorted(range(len(near)), key=lambda n: (float(distance[n]), -near[n]))
+        near = sorted(near[n] for n in order[: self.loops.most_local])
+        # The last two stretches are what the scan before this one was matched against.
+        covariances = self.graph.relative_covariances(last, near)
+        metres = self.loops.trusted * self.settings.search_metres
+        radians = self.loops.trusted * self.settings.search_radians
+        known = (covariances[:, 0, 0] + covariances[:, 1, 1] <= metres**2) & (covariances[:, 2, 2] <= radians**2)
+        return [k for k, is_known in zip(near, known.tolist(), strict=True) if is_known or k >= last - 2]
+
+    def _renew(self, wanted: list[int]) -> None:
+        """Make the local map anew: the scans of the last two stretches as they are, the points of the older ones."""
+        last = len(self.graph) - 1
+        recent = [k for k in (last - 2, last - 1) if k >= 0]
+        scans = []
+        for k in recent:
+            for number in range(self._stretches[k].first, self._stretches[k].last):
+                T_node_robot = planar.to_pose(self._entry_pose[self._scan_entry[number]])
+                scans.append((self.scans[number].scan(), planar.to_pose(self.graph.pose(k)) @ T_node_robot @ self.mount))
+        number = self._node_scans[-1]
+        scans.append((self.scans[number].scan(), planar.to_pose(self.graph.pose(last)) @ self.mount))
+        self._local.renew(scans)
+        for k in recent:
+            self._local.members[k] = self.graph.pose(k)
+        for k in wanted:
+            if k not in self._local.members:
+                self._add_to_local(k)
+        self._odometry.match_against(self._local.builder)
+
+    def _add_to_local(self, k: int) -> None:
+        stretch, pose = self._stretches[k], self.graph.pose(k)
+        points = planar.to_pose(pose).apply(stretch.points)
+        self._local.add(k, pose, points, stretch.weights.astype(np.int64))
+
+    # ------------------------------------------------------------------ the end
+
+    def finish(self) -> SlamResult:
+        """Close what loops are left, and return all poses."""
+        self._take_readings(self._odometry.finish())
+        self.closer.finish()
+        if len(self.graph) > 1:
+            self.closer.throw_out(self.graph.optimise_robustly(self.loops.probability))
+        poses, covariances = self._poses()
+        return SlamResult(
+            np.array(self._stamps), poses, np.array(self._is_scan), covariances, self.scans, self.closer.records,
+            self.graph, self._node_scans,
+        )  # fmt: skip
+
+    def _poses(self) -> tuple[FloatArray, FloatArray]:
+        """Return the poses (N, 3) of all readings, and their covariances (N, 3, 3)."""
+        rows = np.array(self._entry_pose).reshape(-1, 3)
+        if not len(self.graph):
+            return rows, np.zeros((len(rows), 3, 3))
+        nodes = self.graph.poses
+        at = np.array(self._entry_node, np.int64)
+        seen = planar.compose(nodes[at], rows)
+        covariances = self.graph.relative_covariances(0, range(len(self.graph)))
+        inside = at < len(self._ways)
+        a = at[inside]
+        ways = np.array(self._ways)
+        if len(a):
+            motions = np.array([stretch.motion for stretch in self._stretches])
+            from_next = planar.compose(nodes[a + 1], planar.between(motions[a], rows[inside]))
+            share = np.clip(np.array(self._entry_way)[inside] / np.maximum(ways[a], 1e-12), 0.0, 1.0)
+            seen[inside] = planar.blend(seen[inside], from_next, share)
+        return seen, covariances[at]
