@@ -26,6 +26,7 @@ class RegisteredScan:
         readings: the odometry readings since the scan before, whose poses are final with this one.
         matched: whether there was something to match the scan against.
         match: what was found; None where nothing coincided, or nothing was looked for.
+        predicted: T_map_robot before it was matched; None where nothing said so.
     """
 
     scan: Scan
@@ -34,6 +35,7 @@ class RegisteredScan:
     readings: tuple[Reading, ...] = ()
     matched: bool = False
     match: Match | None = None
+    predicted: Pose | None = None
 
 
 class Odometry(Protocol):

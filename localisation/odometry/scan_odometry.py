@@ -105,7 +105,7 @@ class ScanOdometry:
             if found is not None:
                 T_map_robot = found.pose
         readings = self._motion.arrive(scan, predicted, T_map_robot)
-        return RegisteredScan(scan, T_map_robot, T_map_robot @ self.mount, readings, matched, found)
+        return RegisteredScan(scan, T_map_robot, T_map_robot @ self.mount, readings, matched, found, predicted)
 
     def finish(self) -> tuple[Reading, ...]:
         """Return the readings after the last scan, at their predicted poses."""

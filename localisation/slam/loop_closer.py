@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hexmap.base.arrays import FloatArray
+from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose, wrap_angle
@@ -27,7 +27,7 @@ from localisation.slam.pose_graph import Edge, PoseGraph
 from localisation.slam.settings import LoopSettings
 from localisation.slam.submap import Cells, Submap, SubmapCells
 
-__all__ = ["LoopCloser", "LoopRecord", "local_covariance"]
+__all__ = ["LoopCloser", "LoopRecord", "local_covariance", "some_points"]
 
 # Nodes between two submaps that have a scan in common or one beside the other's.
 _NEIGHBOURS = 3
@@ -119,6 +119,7 @@ class LoopCloser:
         self.records: list[LoopRecord] = []
         self._waiting: list[int] = []
         self._tried: dict[tuple[int, int], float] = {}
+        self._middles: list[tuple[float, ...]] = []
 
     # ------------------------------------------------------------------ candidates
 
@@ -131,23 +132,16 @@ class LoopCloser:
         poses = self._graph.poses
         spread = self._graph.relative_covariances(j, [0])[0]
         slack = self.settings.sigmas * math.sqrt(max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0))
-        middles = np.array([submap.middle for submap in self._submaps[: last + 1]])
-        reaches = np.array([submap.reach for submap in self._submaps[: last + 1]])
-        at = planar.compose(poses[: last + 1], np.column_stack([middles, np.zeros(last + 1)]))[:, :2]
-        mine = planar.to_pose(poses[j]).apply(new.middle[None])[0]
-        near = np.flatnonzero(np.hypot(*(at - mine).T) < reaches + new.reach + slack)
+        near = self.near(j, slack)
         chosen = []
         for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+            run = run[run <= last]
             if len(run):
                 views = [self._in_view(int(i), j) for i in run]
                 best = int(np.argmax(views))
                 chosen.append((views[best], int(run[best])))
-        if not chosen:
-            return []
-        numbers = [i for _, i in chosen]
-        covariances = self._graph.relative_covariances(j, numbers)
         found = []
-        for (view, i), of_i in zip(chosen, covariances, strict=True):
+        for (view, i), of_i in zip(chosen, self._graph.relative_covariances(j, [i for _, i in chosen]), strict=True):
             pose = planar.between(poses[i], poses[j])
             # Held at j, it is the covariance of i: as seen from i it is the same motion in the frame of j.
             A = planar.adjoint(planar.invert(pose))
@@ -161,14 +155,26 @@ class LoopCloser:
         found.sort(key=lambda pair: (pair[0], pair[1].i))
         return [candidate for _, candidate in found[: self.settings.searches]]
 
+    def near(self, j: int, slack: float) -> IntArray:
+        """Return the submaps before ``j``, ascending, that may see what it sees where both may be ``slack`` metres off."""
+        poses = self._graph.poses[: j + 1]
+        turn = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+        while len(self._middles) <= j:
+            submap = self._submaps[len(self._middles)]
+            self._middles.append((*submap.middle.tolist(), submap.reach))
+        middles = np.array(self._middles[: j + 1])
+        x = poses[:, 0] + turn[:, 0] * middles[:, 0] - turn[:, 1] * middles[:, 1]
+        y = poses[:, 1] + turn[:, 1] * middles[:, 0] + turn[:, 0] * middles[:, 1]
+        apart = np.hypot(x - x[j], y - y[j])
+        return np.flatnonzero(apart[:j] < middles[:j, 2] + middles[j, 2] + slack)
+
     def _in_view(self, i: int, j: int) -> float:
         """Return which share of the squares of the one with fewer lies on squares of the other, or beside them."""
         a, b = self._submaps[i], self._submaps[j]
-        poses = self._graph.pose(i), self._graph.pose(j)
-        moved = planar.to_pose(planar.between(*poses)).apply(b.coarse)
-        distances = np.abs(moved[:, None] - a.coarse[None]).max(axis=2)
-        met = int((distances.min(axis=1) < 1.0).sum()), int((distances.min(axis=0) < 1.0).sum())
-        return met[1] / len(a.coarse) if len(a.coarse) < len(b.coarse) else met[0] / max(1, len(b.coarse))
+        T_a_b = planar.to_pose(planar.between(self._graph.pose(i), self._graph.pose(j)))
+        if len(a.coarse) < len(b.coarse):
+            return b.in_view(T_a_b.inverse().apply(a.coarse)) / max(1, len(a.coarse))
+        return a.in_view(T_a_b.apply(b.coarse)) / max(1, len(b.coarse))
 
     def _is_known(self, metres: float, radians: float, new: Submap) -> bool:
         known = _KNOWN * self._cells.fine.resolution
@@ -292,7 +298,7 @@ class LoopCloser:
         record = replace(record, reverse_metres=off, reverse_radians=turned)
         if off > settings.reverse_cells * self._cells.lattice.resolution or turned > settings.reverse_radians:
             return replace(record, reason="the reverse search differs")
-        points = _some(new.points)
+        points = some_points(new.points, _MOST_POINTS)
         covariance = score_covariance(old.pyramid, points, np.ones(len(points), np.int64), match.searched)
         covariance = local_covariance(covariance, pose)
         found = planar.of_pose(pose)
@@ -318,16 +324,16 @@ class LoopCloser:
         low, high = pose[:2] - sides, pose[:2] + sides
         matcher = GlobalMatcher(old.pyramid, _box(lattice, low, high))
         return matcher.match(
-            _some(new.points), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)), runner_up=runner_up,
+            some_points(new.points, _MOST_POINTS), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)), runner_up=runner_up,
             refine=False, beams=False, information=False, node_limit=self.settings.node_limit,
         )  # fmt: skip
 
 
-def _some(points: FloatArray) -> FloatArray:
+def some_points(points: FloatArray, most: int) -> FloatArray:
     """Return so many points (P, n) at most, spread over all."""
-    if len(points) <= _MOST_POINTS:
+    if len(points) <= most:
         return points
-    return points[np.linspace(0, len(points) - 1, _MOST_POINTS).astype(np.int64)]
+    return points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
 def _reach(points: FloatArray) -> float:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +79,8 @@ class PoseGraph:
         self.edges: list[Edge] = []
         self.weights: list[float] = []
         self._factors: list[Any] = []
+        # Covariances as seen from the node that was asked last, as long as nothing changes them.
+        self._known: dict[int, dict[int, FloatArray]] = {}
 
     def __len__(self) -> int:
         """Return the number of nodes."""
@@ -86,7 +88,7 @@ class PoseGraph:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what gtsam made: it is made again."""
-        return {**self.__dict__, "_factors": []}
+        return {**self.__dict__, "_factors": [], "_known": {}}
 
     @property
     def poses(self) -> FloatArray:
@@ -104,9 +106,18 @@ class PoseGraph:
 
     def add_edge(self, edge: Edge) -> int:
         """Add an edge between two nodes; returns its number."""
+        # A node that hangs on one edge says nothing of those before it.
+        if edge.loop:
+            self._known = {}
         self.edges.append(edge)
         self.weights.append(1.0)
         return len(self.edges) - 1
+
+    def set_covariance(self, number: int, covariance: FloatArray) -> None:
+        """Say anew how sure an edge is."""
+        self.edges[number] = replace(self.edges[number], covariance=covariance)
+        del self._factors[number:]
+        self._known = {}
 
     # ------------------------------------------------------------------ solving
 
@@ -170,6 +181,7 @@ class PoseGraph:
         return values
 
     def _take(self, values: Any) -> None:
+        self._known = {}
         # The first node's row is not touched: the frame of the map must not move by a rounding error.
         for k in range(1, len(self)):
             pose = values.atPose2(k)
@@ -193,14 +205,24 @@ class PoseGraph:
         With the node held where it is, its own uncertainty drops out: the marginals of the others are those of their
         poses relative to it.
         """
+        known = self._known.get(origin)
+        if known is None:
+            # What was asked for from other nodes is not asked for again.
+            known = {origin: np.zeros((3, 3))}
+            self._known = {origin: known}
+        missing = [node for node in dict.fromkeys(others) if node not in known]
+        if missing:
+            known.update(zip(missing, self._solve(origin, missing), strict=True))
+        return np.array([known[node] for node in others]).reshape(-1, 3, 3)
+
+    def _solve(self, origin: int, others: Sequence[int]) -> FloatArray:
+        """Return what :meth:`relative_covariances` does, of nodes that are not the one held."""
         from scipy.sparse import csc_matrix
         from scipy.sparse.linalg import splu
 
-        n = len(self)
         out = np.zeros((len(others), 3, 3))
-        wanted = [(m, node) for m, node in enumerate(others) if node != origin]
-        if not wanted:
-            return out
+        wanted = list(enumerate(others))
+        n = len(self)
         rows, columns, values = self._normal_equations()
         kept = (rows // 3 != origin) & (columns // 3 != origin)
         rows, columns = rows - 3 * (rows // 3 > origin), columns - 3 * (columns // 3 > origin)

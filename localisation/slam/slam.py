@@ -22,7 +22,7 @@ from localisation.odometry.scan_odometry import ScanOdometry
 from localisation.settings import MappingSettings, limit_of
 from localisation.slam import planar
 from localisation.slam.local_map import LocalMap
-from localisation.slam.loop_closer import LoopCloser, LoopRecord, local_covariance
+from localisation.slam.loop_closer import LoopCloser, LoopRecord, local_covariance, some_points
 from localisation.slam.pose_graph import Edge, PoseGraph, import_gtsam
 from localisation.slam.settings import LoopSettings
 from localisation.slam.submap import CompactScan, Stretch, Submap, SubmapCells, compact, make_stretch
@@ -30,12 +30,16 @@ from localisation.slam.submap import CompactScan, Stretch, Submap, SubmapCells, 
 __all__ = ["Slam", "SlamResult"]
 
 # In cells of the finest level: the local map is made anew where a submap in it has moved by more.
-_MOVED = 0.25
-# Variance of the edge between two nodes, in that of the match of the later one's scan alone. The scans between them
-# hand the error on and add their own.
-_CHAIN = 4.0
-# A point this far away moves as the heading does.
-_LEVER = 5.0
+_MOVED = 0.5
+# Of nodes that follow one another, the covariance of every so many is looked at.
+_EVERY = 4
+# Variance of the edge between two nodes, in what the surface of scores says of one match.
+_CHAIN = 1.0
+# Points whose surface of scores is looked at.
+_CHAIN_POINTS = 200
+# Variance of the wheels' error over a stretch, in what it is on average: it is alike from one stretch to the next, and
+# so many along a corridor add up before the wheels turn or something is in view again.
+_WHEELS = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +113,13 @@ class Slam:
         self._entry_way: list[float] = []
         self._scan_entry: list[int] = []
         self._ways: list[float] = []
+        self._chain: list[int] = []
         self._metres = self._radians = 0.0
         self._last: FloatArray | None = None
+        # The motion since the last node as it was predicted, and the sum of its squared errors over all stretches; it
+        # begins with one stretch that was as wrong as the window allows.
+        self._predicted = np.zeros(3)
+        self._errors = np.array([settings.search_metres**2] * 2 + [settings.search_radians**2])
 
     @property
     def jumps(self) -> int:
@@ -141,7 +150,7 @@ class Slam:
         number = len(self.scans)
         self.scans.append(compact(scan, no_return=self.settings.clear_no_return > 0.0))
         pose = planar.of_pose(registered.T_map_robot)
-        self._walk(pose)
+        self._walk(planar.of_pose(registered.predicted or registered.T_map_robot), pose)
         if number == 0:
             self.graph.add_node(pose)
             self._node_scans.append(0)
@@ -156,8 +165,9 @@ class Slam:
         at_node = self._node_scans[-1] == len(self.scans) - 1
         return planar.to_pose(self.graph.pose(len(self.graph) - 1) if at_node else pose)
 
-    def _walk(self, pose: FloatArray) -> None:
+    def _walk(self, predicted: FloatArray, pose: FloatArray) -> None:
         if self._last is not None:
+            self._predicted = planar.compose(self._predicted, planar.between(self._last, predicted))
             step = planar.between(self._last, pose)
             self._metres += float(np.hypot(step[0], step[1]))
             self._radians += abs(float(step[2]))
@@ -195,7 +205,7 @@ class Slam:
         submap = Submap.of(before, self._stretches[-2] if before else None, stretch)
         self.submaps.append(submap)
         self._local.members[before] = self.graph.pose(before)
-        self.graph.add_edge(Edge(before, before + 1, motion, self._chain_covariance(submap, number, motion, match)))
+        self._link(submap, number, motion, match is not None)
         if self.closer.look(before):
             self.graph.optimise()
         self._follow()
@@ -226,17 +236,40 @@ class Slam:
         T_node_robot = planar.to_pose(self._entry_pose[self._scan_entry[number]])
         return Scan(self.scans[number].stamp, points), T_node_robot @ self.mount
 
-    def _chain_covariance(self, submap: Submap, number: int, motion: FloatArray, match: Match | None) -> FloatArray:
-        """Return how sure the motion to a new node is, by how its scan lies in the submap before it."""
+    def _link(self, submap: Submap, number: int, motion: FloatArray, matched: bool) -> None:
+        """Put the motion to a new node into the graph; how sure that before it was is known now.
+
+        A stretch is held to the submap before it by all that both see. Of the new node's stretch there is one scan yet,
+        which must do until the next node.
+        """
+        graph = self.graph
+        errors = self._errors
+        if matched:
+            errors += planar.between(self._predicted, motion) ** 2
+        self._predicted = np.zeros(3)
+        if self._chain:
+            before = self.submaps[submap.number - 1]
+            edge = self._chain[-1]
+            points = self._stretches[submap.number].points.astype(np.float64)
+            graph.set_covariance(edge, self._chain_covariance(before, points, graph.edges[edge].pose))
+        points = self._usable(number)[1] if matched else np.zeros((0, 2))
+        covariance = self._chain_covariance(submap, points, motion)
+        self._chain.append(graph.add_edge(Edge(submap.number, submap.number + 1, motion, covariance)))
+
+    def _chain_covariance(self, submap: Submap, points: FloatArray, motion: FloatArray) -> FloatArray:
+        """Return how sure it is that points (P, n) seen ``motion`` (3,) further on lie in a submap as they do."""
+        errors = self._errors / len(self.graph)
+        # Wheels err in every direction: what a corridor hides of it is what counts.
+        errors[:2] = errors[:2].sum()
+        by_wheels = np.diag(_WHEELS * errors)
         cells = self._cells.of(submap)
-        _, points = self._usable(number)
-        window = np.diag([self.settings.search_metres**2] * 2 + [self.settings.search_radians**2])
-        if match is None or len(points) == 0 or len(cells.occupied) == 0:
-            return window
-        kept, weights = thin(points, self._cells.lattice)
+        if len(points) == 0 or len(cells.occupied) == 0:
+            return by_wheels
+        kept = some_points(thin(points, self._cells.lattice)[0], _CHAIN_POINTS)
         pose = planar.to_pose(motion)
-        covariance = score_covariance(cells.pyramid, kept, weights, pose)
-        return _CHAIN * local_covariance(covariance, pose)
+        by_match = score_covariance(cells.pyramid, kept, np.ones(len(kept), np.int64), pose)
+        by_match = _CHAIN * local_covariance(by_match, pose)
+        return np.asarray(np.linalg.inv(np.linalg.inv(by_match) + np.linalg.inv(by_wheels)))
 
     def _follow(self) -> None:
         """Go on from the last node as it is now, on a local map that knows where the submaps are now."""
@@ -244,12 +277,11 @@ class Slam:
         pose = self.graph.pose(last)
         self._odometry.move_to(planar.to_pose(pose))
         self._last = pose
-        wanted = self._trusted(last)
+        wanted, near = self._trusted(last)
         members = self._local.members
         limit = _MOVED * self._local.finest.resolution
-        here = self.submaps[last - 1]
-        gone = [k for k in members if k not in wanted and self._meets(k, here)]
-        moved = [k for k in members if k in wanted and self._has_moved(k, last, limit)]
+        gone = any(k in near and k not in wanted for k in members)
+        moved = any(k in members and self._has_moved(k, limit) for k in wanted)
         if gone or moved or len(members) > 2 * self.loops.most_local:
             self._renew(wanted)
             return
@@ -257,33 +289,33 @@ class Slam:
             if k not in members:
                 self._add_to_local(k)
 
-    def _has_moved(self, k: int, last: int, limit: float) -> bool:
-        """Tell whether a stretch in the local map has moved against the last node since it was put there."""
-        before = planar.between(self._local.members[k], self.graph.pose(k))
-        return planar.lever(before, self.submaps[k].reach) > limit
+    def _has_moved(self, k: int, limit: float) -> bool:
+        """Tell whether a stretch in the local map lies elsewhere than where it was put."""
+        moved = planar.between(self._local.members[k], self.graph.pose(k))
+        return planar.lever(moved, 0.5 * self.submaps[k].reach) > limit
 
-    def _meets(self, k: int, here: Submap) -> bool:
-        """Tell whether what a submap saw may be seen from another, or on the way to the next node."""
-        there = self.submaps[k]
-        a = planar.to_pose(self.graph.pose(k)).apply(there.middle[None])[0]
-        b = planar.to_pose(self.graph.pose(here.number)).apply(here.middle[None])[0]
-        return bool(np.hypot(*(a - b)) < there.reach + here.reach + self.loops.node_metres)
-
-    def _trusted(self, last: int) -> list[int]:
-        """Return the nodes near the last one whose place is known well enough to match scans against them."""
-        here = self.submaps[last - 1]
-        near = [k for k in range(last) if self._meets(k, here)]
+    def _trusted(self, last: int) -> tuple[list[int], set[int]]:
+        """Return the nodes near the last one whose place is known well enough to match scans against, and all near."""
+        near = self.closer.near(last - 1, self.loops.node_metres).tolist()
         poses = self.graph.poses
-        distance = np.hypot(*(poses[near, :2] - poses[last, :2]).T)
+        distance = np.hypot(*(poses[near, :2] - poses[last, :2]).T) if near else np.zeros(0)
         # The nearest first; of equally near ones the later one.
         order = sorted(range(len(near)), key=lambda n: (float(distance[n]), -near[n]))
         near = sorted(near[n] for n in order[: self.loops.most_local])
-        # The last two stretches are what the scan before this one was matched against.
-        covariances = self.graph.relative_covariances(last, near)
+        # Nodes that follow one another are known about as well: every so many will do.
+        asked = [k for n, k in enumerate(near) if n % _EVERY == 0 or near[n - 1] != k - 1]
+        covariances = dict(zip(asked, self.graph.relative_covariances(last, asked), strict=True))
         metres = self.loops.trusted * self.settings.search_metres
         radians = self.loops.trusted * self.settings.search_radians
-        known = (covariances[:, 0, 0] + covariances[:, 1, 1] <= metres**2) & (covariances[:, 2, 2] <= radians**2)
-        return [k for k, is_known in zip(near, known.tolist(), strict=True) if is_known or k >= last - 2]
+        known, trusted = False, []
+        for k in near:
+            if k in covariances:
+                C = covariances[k]
+                known = bool(C[0, 0] + C[1, 1] <= metres**2 and C[2, 2] <= radians**2)
+            if known and k < last - 2:
+                trusted.append(k)
+        # What the last scans were matched against stays in any case.
+        return trusted + [k for k in (last - 2, last - 1) if k >= 0], set(near)
 
     def _renew(self, wanted: list[int]) -> None:
         """Make the local map anew: the scans of the last two stretches as they are, the points of the older ones."""

@@ -92,7 +92,9 @@ class Submap:
         after: the stretch that begins there.
         middle: (n,) mean of its points in its own frame.
         reach: how far its points are from there at most, metres.
-        coarse: (K,) which squares of a metre hold points of it, in its own frame, as points.
+        coarse: (K, n) middles of the squares of a metre that hold points of it, in its own frame.
+        view: which squares hold points or lie beside such, as a picture.
+        corner: (n,) the square in which that begins.
     """
 
     number: int
@@ -101,6 +103,8 @@ class Submap:
     middle: FloatArray
     reach: float
     coarse: FloatArray
+    view: NDArray[np.bool_]
+    corner: IntArray
 
     @classmethod
     def of(cls, number: int, before: Stretch | None, after: Stretch) -> Submap:
@@ -108,8 +112,19 @@ class Submap:
         points, _ = _points(before, after)
         middle = points.mean(axis=0) if len(points) else np.zeros(2)
         reach = math.sqrt(float(((points - middle) ** 2).sum(axis=1).max())) if len(points) else 0.0
-        squares = np.unique(np.floor(points).astype(np.int64), axis=0) + 0.5
-        return cls(number, before, after, middle, reach, squares)
+        squares = np.unique(np.floor(points).astype(np.int64), axis=0).reshape(-1, 2)
+        corner = squares.min(axis=0, initial=0) - 1
+        view = np.zeros(tuple(squares.max(axis=0, initial=0) - corner + 2), np.bool_)
+        for i in (-1, 0, 1):
+            for j in (-1, 0, 1):
+                view[tuple((squares - corner + [i, j]).T)] = True
+        return cls(number, before, after, middle, reach, squares + 0.5, view, corner)
+
+    def in_view(self, points: FloatArray) -> int:
+        """Return how many of some points (P, n) in its frame lie on its squares of a metre or beside them."""
+        at = np.floor(points).astype(np.int64) - self.corner
+        inside = ((at >= 0) & (at < self.view.shape)).all(axis=1)
+        return int(self.view[tuple(at[inside].T)].sum())
 
     def points(self) -> tuple[FloatArray, IntArray]:
         """Return its points (P, n) in its own frame, metres, and how many each stands for."""
