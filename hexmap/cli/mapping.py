@@ -16,6 +16,7 @@ from hexmap.cli.console import check_outputs, first_run_note, progress_line, say
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
     from localisation.evaluation import ErrorStatistics
+    from localisation.mapping.result import MappingResult
     from localisation.settings import MappingSettings
 
 
@@ -71,6 +72,11 @@ def build(
     trajectory: Annotated[Path | None, typer.Option(help="Where to write the poses (TUM).")] = None,
     trajectory_of: Annotated[Readings, typer.Option(help="Poses of all readings or of the scans.")] = Readings.all,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the map (.png, .svg, .pdf).")] = None,
+    loop_closure: Annotated[bool, typer.Option(help="Find loops and close them.")] = True,
+    loops: Annotated[Path | None, typer.Option(help="Where to write every loop that was tried (CSV).")] = None,
+    loops_picture: Annotated[Path | None, typer.Option(help="Where to draw graph and loops.")] = None,
+    graph: Annotated[Path | None, typer.Option(help="Where to write the graph of poses (g2o).")] = None,
+    covariance: Annotated[Path | None, typer.Option(help="Where to write how sure each pose is (CSV).")] = None,
     poses: Annotated[Path | None, typer.Option(help="Poses (TUM) to fuse at, instead of matching.")] = None,
     associate: Annotated[
         Associate | None, typer.Option(help="How --poses go with scans.", show_default="order where the numbers agree")
@@ -96,17 +102,23 @@ def build(
     odometry_topic: Annotated[str | None, typer.Option(help="Topic of the odometry in a bag.")] = None,
 ) -> None:
     """Build a map from a laser log: match every scan, or take given poses, and fuse."""
-    from hexmap.base.errors import TrajectoryError
+    from hexmap.base.errors import ArgumentError, TrajectoryError
     from hexmap.drawing.map_drawing import check_picture
     from hexmap.io.logs.open_log import open_log
     from hexmap.io.trajectories import read_tum
 
+    of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     check_outputs(
-        {"--output": output, "--trajectory": trajectory, "--picture": picture},
+        {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
         tuple(p for p in (log, poses, config) if p is not None),
     )
-    if picture is not None:
-        check_picture(picture)
+    for path in (picture, loops_picture):
+        if path is not None:
+            check_picture(path)
+    for option, path in of_loops.items():
+        if path is not None and (poses is not None or not loop_closure):
+            how = "--poses" if poses is not None else "--no-loop-closure"
+            raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
     settings = _settings(
         config,
         lattice=lattice,
@@ -135,7 +147,44 @@ def build(
     if given is not None and not given.planar:
         raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
     first_run_note()
-    _build(source, settings, output, trajectory, trajectory_of, picture, given, associate)
+    result = _build(source, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure)
+    if result.slam is not None:
+        _write_loops(result, settings, loops, loops_picture, graph, covariance)
+
+
+def _write_loops(
+    result: MappingResult,
+    settings: MappingSettings,
+    loops: Path | None,
+    picture: Path | None,
+    graph: Path | None,
+    covariance: Path | None,
+) -> None:
+    """Say what was found of loops, and write what is asked for of them."""
+    from localisation.slam.loop_files import write_covariances, write_loops
+
+    slam = result.slam
+    assert slam is not None
+    accepted = [(r.i, r.j) for r in slam.records if r.accepted]
+    rejected = [(r.i, r.j) for r in slam.records if not r.accepted]
+    say(f"{len(slam.graph)} nodes; {len(slam.records)} loops tried: {len(accepted)} closed, {len(rejected)} rejected")
+    if loops is not None:
+        write_loops(loops, slam)
+        wrote(loops, "every loop that was tried")
+    if graph is not None:
+        slam.graph.write_g2o(graph)
+        wrote(graph, "graph of poses, g2o")
+    if covariance is not None:
+        write_covariances(covariance, slam)
+        wrote(covariance, "how sure each pose is")
+    if picture is not None:
+        from hexmap.drawing.graph_drawing import draw_graph
+
+        draw_graph(
+            result.map, picture, slam.poses[slam.is_scan, :2], slam.graph.poses[:, :2], accepted, rejected,
+            settings.rule,
+        )  # fmt: skip
+        wrote(picture, "graph and loops")
 
 
 def _settings(config: Path | None, **options: Any) -> MappingSettings:
@@ -210,7 +259,8 @@ def _build(
     picture: Path | None,
     given: Any,
     associate: Associate | None,
-) -> Any:
+    loop_closure: bool = True,
+) -> MappingResult:
     """Build, write and report; returns the result."""
     from contextlib import ExitStack
 
@@ -218,6 +268,7 @@ def _build(
     from hexmap.io.trajectories import TumWriter
     from localisation.mapping.build_map import build_map
     from localisation.mapping.fuse_log import fuse_log
+    from localisation.mapping.loop_closed_map import build_loop_closed_map
 
     begin = time.monotonic()
     drawn: list[tuple[float, float]] = []
@@ -230,12 +281,15 @@ def _build(
             if picture is not None and is_scan:
                 drawn.append((pose.x, pose.y))
 
-        with progress_line("mapping", source.fraction) as progress:
-            if given is None:
-                result = build_map(source, settings, on_pose=on_pose, progress=progress)
-            else:
-                how = None if associate is None else associate.value
-                result = fuse_log(source, given, settings, associate=how, on_pose=on_pose, progress=progress)
+        if given is None and loop_closure:
+            result = build_loop_closed_map(source, settings, on_pose=on_pose, phase=progress_line)
+        else:
+            with progress_line("mapping", source.fraction) as progress:
+                if given is None:
+                    result = build_map(source, settings, on_pose=on_pose, progress=progress)
+                else:
+                    how = None if associate is None else associate.value
+                    result = fuse_log(source, given, settings, associate=how, on_pose=on_pose, progress=progress)
         seconds = time.monotonic() - begin
         save_map(output, result.map)
     for text in result.warnings:

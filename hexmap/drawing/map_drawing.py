@@ -102,8 +102,11 @@ def draw_states(
     trajectory: Trajectory | ArrayLike | None = None,
     dpi: float = 200.0,
     title: str | None = None,
+    overlay: Callable[[Any], None] | None = None,
 ) -> Path:
     """Draw occupied and free cells, of a level of a map or of a map of others, as :func:`draw_map` does.
+
+    ``overlay`` draws on the axes what else is to be seen, in metres.
 
     Raises:
         ArgumentError: a suffix that is not known, positions of another shape, or more pixels than an image should have.
@@ -129,6 +132,8 @@ def draw_states(
         if highest is None:
             _draw_cell_edges(axes, layout, states)
         draw_line(axes, positions)
+        if overlay is not None:
+            overlay(axes)
         if len(states.occupied) + (len(states.free) if highest is None else 0) == 0:
             words = "empty map: no cell is occupied" + (" or free" if highest is None else "")
             axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", color=FAINT, fontsize=11)

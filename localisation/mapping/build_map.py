@@ -1,4 +1,4 @@
-"""From a log to a map: predict each scan's pose, match it, fuse it.
+"""From a log to a map by scan matching alone: predict each scan's pose, match it, fuse it.
 
 The main loop reads as the job is done. Order in the log is the order of events; time stamps are
 carried along and never divided by, because in real logs they repeat and step back.
@@ -9,8 +9,15 @@ from __future__ import annotations
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
 from hexmap.io.logs.log import Log
 from hexmap.poses.scan import Odometry
-from localisation.mapping.result import MappingResult, OnPose, PoseRecorder, Progress, UnusableScans, provenance
-from localisation.odometry.motion import FARTHEST_JUMP
+from localisation.mapping.result import (
+    MappingResult,
+    OnPose,
+    PoseRecorder,
+    Progress,
+    UnusableScans,
+    jump_warnings,
+    provenance,
+)
 from localisation.odometry.scan_odometry import ScanOdometry
 from localisation.settings import MappingSettings, make_builder
 
@@ -82,13 +89,5 @@ def build_map(
         skipped=0,
         mean_part=fractions / matched if matched else 0.0,
         metres=recorder.metres,
-        warnings=[*log.warnings, *unusable.warnings, *_jumps(log, jumps)],
+        warnings=[*log.warnings, *unusable.warnings, *jump_warnings(log, jumps)],
     )
-
-
-def _jumps(log: Log, count: int) -> list[str]:
-    if not count:
-        return []
-    return [
-        f"{log.path}: odometry jumps by more than {FARTHEST_JUMP:g} m {count} times; the last motion was used there"
-    ]

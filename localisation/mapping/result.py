@@ -15,7 +15,9 @@ from hexmap.io.logs.log import Log
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
+from localisation.odometry.motion import FARTHEST_JUMP
 from localisation.settings import MappingSettings
+from localisation.slam.slam import SlamResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,7 @@ class MappingResult:
         mean_part: mean part of a scan's cells that coincided with the map when it was matched.
         metres: length of the path.
         warnings: what was wrong with the log, one line each.
+        slam: the graph, the loops and how sure each pose is, where loops were closed.
     """
 
     map: Map
@@ -43,6 +46,7 @@ class MappingResult:
     mean_part: float
     metres: float
     warnings: list[str]
+    slam: SlamResult | None = None
 
 
 class UnusableScans:
@@ -92,6 +96,15 @@ class PoseRecorder:
         self._last = pose
         if self._on_pose is not None:
             self._on_pose(stamp, pose, is_scan)
+
+
+def jump_warnings(log: Log, count: int) -> list[str]:
+    """Return what to say of odometry readings that could not be true: one line, or none."""
+    if not count:
+        return []
+    return [
+        f"{log.path}: odometry jumps by more than {FARTHEST_JUMP:g} m {count} times; the last motion was used there"
+    ]
 
 
 def provenance(log: Log, settings: MappingSettings, result: str) -> dict[str, Any]:

@@ -152,6 +152,8 @@ class Slam:
         pose = planar.of_pose(registered.T_map_robot)
         self._walk(planar.of_pose(registered.predicted or registered.T_map_robot), pose)
         if number == 0:
+            # Readings before the first scan are seen from it as well.
+            self._entry_pose = [planar.between(pose, before) for before in self._entry_pose]
             self.graph.add_node(pose)
             self._node_scans.append(0)
         elif self._is_due(number):

@@ -1,0 +1,105 @@
+"""From a log to a map that closes its loops: poses by :class:`~localisation.slam.slam.Slam`, then all scans fused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import TypeAlias
+
+from hexmap.base.errors import BoundsError, LogError, TooLargeError
+from hexmap.io.logs.log import Log
+from hexmap.poses.scan import Odometry
+from localisation.mapping.result import (
+    MappingResult,
+    OnPose,
+    PoseRecorder,
+    Progress,
+    UnusableScans,
+    jump_warnings,
+    provenance,
+)
+from localisation.settings import MappingSettings, make_builder
+from localisation.slam import planar
+from localisation.slam.settings import LoopSettings
+from localisation.slam.slam import Slam
+
+__all__ = ["Phase", "build_loop_closed_map"]
+
+Phase: TypeAlias = Callable[[str, Callable[[], float]], AbstractContextManager[Progress]]
+"""Begins a phase of the work: its name, and what tells which part of it is done."""
+
+
+def build_loop_closed_map(
+    log: Log,
+    settings: MappingSettings | None = None,
+    loops: LoopSettings | None = None,
+    *,
+    on_pose: OnPose | None = None,
+    phase: Phase | None = None,
+) -> MappingResult:
+    """Map a log by scan matching, with its loops closed.
+
+    Args:
+        log: an open log (``hexmap.io.logs.open_log``).
+        settings: all settings of the map.
+        loops: how loops are looked for, and what is believed.
+        on_pose: called at the end with stamp, T_map_robot and whether it is a scan's, for every laser and odometry
+            reading in the log's order.
+        phase: shows what is being done; it is entered for each phase, and what it yields is called with the number of
+            scans that are done.
+
+    Returns:
+        The map, in the frame of the first pose, with what was found of loops in ``slam``.
+
+    Raises:
+        LogError: the log cannot be read or has no laser reading.
+        MissingDependencyError: gtsam cannot be loaded.
+    """
+    settings = settings or MappingSettings()
+    phase = phase or _silent
+    slam: Slam | None = None
+    unusable = UnusableScans(log)
+    with phase("mapping", log.fraction) as progress:
+        for event in log:
+            # Only once the log has been begun does it say how the laser is mounted.
+            slam = slam or Slam(settings, loops, log.mount)
+            if isinstance(event, Odometry):
+                slam.observe(event)
+                continue
+            try:
+                slam.register(event)
+            except (BoundsError, TooLargeError) as error:
+                unusable.add(event, error)
+                continue
+            progress(len(slam.scans))
+    if slam is None:
+        raise LogError(f"{log.path}: there is no laser reading in it")
+    unusable.check(len(slam.scans))
+    result = slam.finish()
+    builder = make_builder(settings)
+    recorder = PoseRecorder(on_pose)
+    scans = iter(result.scans)
+    with phase("fusing", lambda: builder.scans / len(result.scans)) as progress:
+        for stamp, row, is_scan in zip(result.stamps.tolist(), result.poses, result.is_scan.tolist(), strict=True):
+            pose = planar.to_pose(row)
+            recorder.add(stamp, pose, is_scan)
+            if is_scan:
+                builder.fuse(next(scans).scan(), pose @ slam.mount)
+                progress(builder.scans)
+    return MappingResult(
+        map=builder.build(source=provenance(log, settings, "scan matching with loop closure"), finish=True),
+        scans=len(result.scans),
+        odometry=log.odometry,
+        matched=slam.matched,
+        unmatched=slam.unmatched,
+        skipped=0,
+        mean_part=slam.fractions / slam.matched if slam.matched else 0.0,
+        metres=recorder.metres,
+        warnings=[*log.warnings, *unusable.warnings, *jump_warnings(log, slam.jumps)],
+        slam=result,
+    )
+
+
+@contextmanager
+def _silent(name: str, fraction: Callable[[], float]) -> Iterator[Progress]:
+    yield lambda scans: None
