@@ -36,7 +36,7 @@ _MOST_POINTS = 400
 # In cells of the finest level: two submaps whose relative pose is known so well gain nothing by another loop.
 _KNOWN = 0.5
 # Share of the squares of a metre that must lie on those of the other where the graph knows where they are.
-_LEAST_IN_VIEW = 0.3
+_LEAST_IN_VIEW = 0.5
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class LoopCloser:
         from scipy.stats import chi2
 
         self._graph, self._submaps, self._cells, self.settings = graph, submaps, cells, settings
-        self._limit = float(chi2.ppf(settings.probability, 3))
+        self.limit = float(chi2.ppf(settings.probability, 3))
         self.records: list[LoopRecord] = []
         self._waiting: list[int] = []
         self._tried: dict[tuple[int, int], float] = {}
@@ -135,11 +135,7 @@ class LoopCloser:
         near = self.near(j, slack)
         chosen = []
         for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
-            run = run[run <= last]
-            if len(run):
-                views = [self._in_view(int(i), j) for i in run]
-                best = int(np.argmax(views))
-                chosen.append((views[best], int(run[best])))
+            chosen += self._best_of(run[run <= last], j)
         found = []
         for (view, i), of_i in zip(chosen, self._graph.relative_covariances(j, [i for _, i in chosen]), strict=True):
             pose = planar.between(poses[i], poses[j])
@@ -155,6 +151,15 @@ class LoopCloser:
         found.sort(key=lambda pair: (pair[0], pair[1].i))
         return [candidate for _, candidate in found[: self.settings.searches]]
 
+    def _best_of(self, run: IntArray, j: int) -> list[tuple[float, int]]:
+        """Return those of a visit's submaps that have most in view of ``j``, with how much, and are no neighbours."""
+        ranked = sorted(((self._in_view(int(i), j), int(i)) for i in run), key=lambda pair: (-pair[0], pair[1]))
+        best: list[tuple[float, int]] = []
+        for view, i in ranked:
+            if len(best) < self.settings.searches and all(abs(i - other) >= _NEIGHBOURS - 1 for _, other in best):
+                best.append((view, i))
+        return best
+
     def near(self, j: int, slack: float) -> IntArray:
         """Return the submaps before ``j``, ascending, that may see what it sees where both may be ``slack`` metres off."""
         poses = self._graph.poses[: j + 1]
@@ -169,12 +174,12 @@ class LoopCloser:
         return np.flatnonzero(apart[:j] < middles[:j, 2] + middles[j, 2] + slack)
 
     def _in_view(self, i: int, j: int) -> float:
-        """Return which share of the squares of the one with fewer lies on squares of the other, or beside them."""
+        """Return the share of the squares of two submaps that lie on squares of the other, or beside them: their mean."""
         a, b = self._submaps[i], self._submaps[j]
         T_a_b = planar.to_pose(planar.between(self._graph.pose(i), self._graph.pose(j)))
-        if len(a.coarse) < len(b.coarse):
-            return b.in_view(T_a_b.inverse().apply(a.coarse)) / max(1, len(a.coarse))
-        return a.in_view(T_a_b.apply(b.coarse)) / max(1, len(b.coarse))
+        by_a = b.in_view(T_a_b.inverse().apply(a.coarse)) / max(1, len(a.coarse))
+        by_b = a.in_view(T_a_b.apply(b.coarse)) / max(1, len(b.coarse))
+        return math.sqrt(by_a * by_b)
 
     def _is_known(self, metres: float, radians: float, new: Submap) -> bool:
         known = _KNOWN * self._cells.fine.resolution
@@ -234,7 +239,7 @@ class LoopCloser:
             other = self.records[number]
             if abs(other.j - record.j) < _NEIGHBOURS - 1 and other.i != record.i:
                 continue
-            if self._cycle(other, record) <= self._limit:
+            if self._cycle(other, record) <= self.limit:
                 self._waiting.remove(number)
                 return replace(record, accepted=True, reason="accepted"), number
         return record, None
@@ -270,7 +275,7 @@ class LoopCloser:
         record = replace(record, score=match.score, total=match.total, gap=match.gap, margin=match.margin)
         if not match.certified or match.gap:
             return replace(record, reason="the search was not finished")
-        if match.margin < settings.min_margin:
+        if match.runner_up is not None:
             return replace(record, reason="another place fits as well")
         pose = refine_on(old.fine, new.fine_points, match.pose, searched=self._cells.lattice).pose
         met, overlap, contradicted = _agreement(old, new, pose)
@@ -287,7 +292,7 @@ class LoopCloser:
         """Search the other way round, and compare with what the graph knew."""
         settings = self.settings
         back, away = planar.invert(candidate.pose), planar.adjoint(candidate.pose)
-        reverse = self._search(new, old, back, away @ candidate.covariance @ away.T, runner_up=None)
+        reverse = self._search(new, old, back, away @ candidate.covariance @ away.T, both=False)
         if reverse is None:
             return replace(record, reason="the reverse search finds nothing")
         reverse_pose = refine_on(new.fine, old.fine_points, reverse.pose, searched=self._cells.lattice).pose
@@ -305,14 +310,14 @@ class LoopCloser:
         off_graph = planar.between(candidate.pose, found)
         chi2 = float(off_graph @ np.linalg.solve(candidate.covariance + covariance, off_graph))
         record = replace(record, chi2=chi2, covariance=tuple(map(tuple, covariance.tolist())))
-        if chi2 > self._limit:
+        if chi2 > self.limit:
             return replace(record, reason="too far from where the graph has it")
         if record.sigma_metres > settings.confirm_metres:
             return replace(record, reason="waiting")
         return replace(record, accepted=True, reason="accepted")
 
     def _search(
-        self, old: Cells, new: Cells, pose: FloatArray, covariance: FloatArray, runner_up: float | None = 0.9
+        self, old: Cells, new: Cells, pose: FloatArray, covariance: FloatArray, both: bool = True
     ) -> Match | None:
         """Search one submap in another where a pose (3,) and its covariance (3, 3) let it lie."""
         lattice = self._cells.lattice
@@ -324,8 +329,8 @@ class LoopCloser:
         low, high = pose[:2] - sides, pose[:2] + sides
         matcher = GlobalMatcher(old.pyramid, _box(lattice, low, high))
         return matcher.match(
-            some_points(new.points, _MOST_POINTS), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)), runner_up=runner_up,
-            refine=False, beams=False, information=False, node_limit=self.settings.node_limit,
+            some_points(new.points, _MOST_POINTS), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)),
+            runner_up=1.0 - self.settings.min_margin if both else None, refine=False, beams=False, information=False, node_limit=self.settings.node_limit,
         )  # fmt: skip
 
 

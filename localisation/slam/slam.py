@@ -119,6 +119,7 @@ class Slam:
         # The motion since the last node as it was predicted, and the sum of its squared errors over all stretches; it
         # begins with one stretch that was as wrong as the window allows.
         self._predicted = np.zeros(3)
+        self._doubt: FloatArray | float = 0.0
         self._errors = np.array([settings.search_metres**2] * 2 + [settings.search_radians**2])
 
     @property
@@ -245,17 +246,23 @@ class Slam:
         which must do until the next node.
         """
         graph = self.graph
-        errors = self._errors
+        error = planar.between(self._predicted, motion)
+        expected = self._errors / len(graph)
+        expected[:2] = expected[:2].sum()
+        # Where the wheels disagree as they never did, one of the two is wrong, and either may be.
+        doubt = np.outer(error, error) if float((error**2 / expected).sum()) > self.closer.limit else 0.0
         if matched:
-            errors += planar.between(self._predicted, motion) ** 2
+            self._errors += error**2
         self._predicted = np.zeros(3)
         if self._chain:
             before = self.submaps[submap.number - 1]
             edge = self._chain[-1]
             points = self._stretches[submap.number].points.astype(np.float64)
-            graph.set_covariance(edge, self._chain_covariance(before, points, graph.edges[edge].pose))
+            covariance = self._chain_covariance(before, points, graph.edges[edge].pose) + self._doubt
+            graph.set_covariance(edge, covariance)
+        self._doubt = doubt
         points = self._usable(number)[1] if matched else np.zeros((0, 2))
-        covariance = self._chain_covariance(submap, points, motion)
+        covariance = self._chain_covariance(submap, points, motion) + doubt
         self._chain.append(graph.add_edge(Edge(submap.number, submap.number + 1, motion, covariance)))
 
     def _chain_covariance(self, submap: Submap, points: FloatArray, motion: FloatArray) -> FloatArray:
