@@ -12,6 +12,7 @@ from hexmap.maps.builder import MapBuilder
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.settings import MappingSettings, limit_of
+from localisation.slam import planar
 
 __all__ = ["LocalMap"]
 
@@ -19,9 +20,12 @@ __all__ = ["LocalMap"]
 class LocalMap:
     """A builder of the levels that scans are searched on, made anew where its submaps have moved.
 
+    It has a frame of its own, that of the map when it was made: where a loop moves all that is near alike, it stays.
+
     Attributes:
         builder: what scans are matched against.
-        members: the nodes whose stretches are in it, with the poses at which they were put there.
+        members: the nodes whose stretches are in it, with the poses (3,) at which they were put there.
+        T_map_local: (3,) where its frame lies in the map.
     """
 
     def __init__(self, settings: MappingSettings) -> None:
@@ -29,6 +33,7 @@ class LocalMap:
         self._settings = settings
         self.builder = self._new_builder()
         self.members: dict[int, FloatArray] = {}
+        self.T_map_local = np.zeros(3)
 
     def _new_builder(self) -> MapBuilder:
         settings = self._settings
@@ -42,12 +47,20 @@ class LocalMap:
         """The lattice of the finest level."""
         return self.builder.lattice
 
-    def fuse(self, scan: Scan, T_map_scan: Pose) -> None:
+    def fuse(self, scan: Scan, T_local_scan: Pose) -> None:
         """Add a scan."""
-        self.builder.fuse(scan, T_map_scan)
+        self.builder.fuse(scan, T_local_scan)
+
+    def in_map(self, pose: FloatArray) -> FloatArray:
+        """Return a pose (3,) of the local frame in the map's frame."""
+        return planar.compose(self.T_map_local, pose)
+
+    def in_local(self, pose: FloatArray) -> FloatArray:
+        """Return a pose (3,) of the map's frame in the local frame."""
+        return planar.between(self.T_map_local, pose)
 
     def add(self, node: int, pose: FloatArray, points: FloatArray, weights: IntArray) -> None:
-        """Add what was seen from a node on: points (P, n) in the map's frame, and how often each counts."""
+        """Add what was seen from a node on: points (P, n) in its frame, and how often each counts."""
         repeated = np.repeat(points, weights, axis=0)
         for level in range(self._settings.search_level + 1):
             counter = self.builder.counter(level)
@@ -55,8 +68,9 @@ class LocalMap:
         self.members[node] = pose
 
     def renew(self, scans: Sequence[tuple[Scan, Pose]]) -> None:
-        """Begin again with some scans at T_map_scan; the caller adds the submaps and hands the builder on."""
+        """Begin again in the map's frame with some scans at T_map_scan; the caller adds the submaps."""
         self.builder = self._new_builder()
+        self.T_map_local = np.zeros(3)
         self.members = {}
         for scan, pose in scans:
             self.builder.fuse(scan, pose)

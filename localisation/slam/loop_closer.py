@@ -135,19 +135,23 @@ class LoopCloser:
         near = self.near(j, slack)
         chosen = []
         for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
-            chosen += self._best_of(run[run <= last], j)
+            chosen.append(self._best_of(run[run <= last], j))
+        asked = [i for visit in chosen for _, i in visit]
+        covariances = dict(zip(asked, self._graph.relative_covariances(j, asked), strict=True))
         found = []
-        for (view, i), of_i in zip(chosen, self._graph.relative_covariances(j, [i for _, i in chosen]), strict=True):
-            pose = planar.between(poses[i], poses[j])
-            # Held at j, it is the covariance of i: as seen from i it is the same motion in the frame of j.
-            A = planar.adjoint(planar.invert(pose))
-            candidate = _Candidate(i, pose, A @ of_i @ A.T)
-            metres, radians = candidate.sigma
-            if self._is_known(metres, radians, new) or self._was_tried(i, j, metres):
-                continue
-            if view < _LEAST_IN_VIEW and self.settings.sigmas * metres < 1.0:
-                continue
-            found.append((-view, candidate))
+        for visit in chosen:
+            for rank, (view, i) in enumerate(visit):
+                pose = planar.between(poses[i], poses[j])
+                # Held at j, it is the covariance of i: as seen from i it is the same motion in the frame of j.
+                A = planar.adjoint(planar.invert(pose))
+                candidate = _Candidate(i, pose, A @ covariances[i] @ A.T)
+                metres, radians = candidate.sigma
+                if self._is_known(metres, radians, new) or self._was_tried(i, j, metres):
+                    continue
+                # Where the graph knows what lies where, the one with most in view is the best, or nothing is in view.
+                if self.settings.sigmas * metres < 1.0 and (rank > 0 or view < _LEAST_IN_VIEW):
+                    continue
+                found.append((-view, candidate))
         found.sort(key=lambda pair: (pair[0], pair[1].i))
         return [candidate for _, candidate in found[: self.settings.searches]]
 
@@ -327,7 +331,7 @@ class LoopCloser:
         # Farther away than both reach nothing can meet.
         sides = np.minimum(sides, _reach(old.points) + _reach(new.points) + float(np.hypot(*pose[:2])))
         low, high = pose[:2] - sides, pose[:2] + sides
-        matcher = GlobalMatcher(old.pyramid, _box(lattice, low, high))
+        matcher = GlobalMatcher(old.pyramid_for(2.0 * float(sides.max())), _box(lattice, low, high))
         return matcher.match(
             some_points(new.points, _MOST_POINTS), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)),
             runner_up=1.0 - self.settings.min_margin if both else None, refine=False, beams=False, information=False, node_limit=self.settings.node_limit,
@@ -356,7 +360,7 @@ def _box(lattice: Lattice, low: FloatArray, high: FloatArray) -> VoxelList:
 
 def _agreement(old: Cells, new: Cells, pose: Pose) -> tuple[int, float, float]:
     """Return how many cells of the smaller meet a wall, which share, and which share of what both know is free."""
-    lattice = old.occupied.lattice
+    lattice = old.walls.lattice
     counts = []
     for there, points, T in ((old, new.points, pose), (new, old.points, pose.inverse())):
         index = lattice.quantise(T.apply(points))

@@ -150,8 +150,8 @@ class Slam:
             self.unmatched += 1
         number = len(self.scans)
         self.scans.append(compact(scan, no_return=self.settings.clear_no_return > 0.0))
-        pose = planar.of_pose(registered.T_map_robot)
-        self._walk(planar.of_pose(registered.predicted or registered.T_map_robot), pose)
+        pose = self._local.in_map(planar.of_pose(registered.T_map_robot))
+        self._walk(self._local.in_map(planar.of_pose(registered.predicted or registered.T_map_robot)), pose)
         if number == 0:
             # Readings before the first scan are seen from it as well.
             self._entry_pose = [planar.between(pose, before) for before in self._entry_pose]
@@ -183,7 +183,7 @@ class Slam:
 
     def _take_readings(self, readings: tuple[tuple[float, Pose], ...]) -> None:
         for stamp, pose in readings:
-            self._enter(stamp, False, planar.of_pose(pose))
+            self._enter(stamp, False, self._local.in_map(planar.of_pose(pose)))
 
     def _enter(self, stamp: float, is_scan: bool, pose: FloatArray) -> None:
         self._stamps.append(stamp)
@@ -201,21 +201,22 @@ class Slam:
         first = self._node_scans[-1]
         self._stretches.append(self._stretch(first, number, motion))
         self.graph.add_node(pose)
+        local = self._local.in_local(pose)
         self._node_scans.append(number)
         self._ways.append(self._metres + self._radians)
         self._metres = self._radians = 0.0
         stretch = self._stretches[-1]
         submap = Submap.of(before, self._stretches[-2] if before else None, stretch)
         self.submaps.append(submap)
-        self._local.members[before] = self.graph.pose(before)
+        self._local.members[before] = self._local.in_local(self.graph.pose(before))
         self._link(submap, number, motion, match is not None)
         if self.closer.look(before):
             self.graph.optimise()
-        self._follow()
+        self._follow(local)
 
     def _stretch(self, first: int, last: int, motion: FloatArray) -> Stretch:
         """Return what the scans from ``first`` on saw that is occupied now, seen from their node."""
-        T_map_node = planar.to_pose(self.graph.pose(len(self.graph) - 1))
+        T_local_node = planar.to_pose(self._local.in_local(self.graph.pose(len(self.graph) - 1)))
         lattice = self._local.finest
         points = []
         for number in range(first, last):
@@ -223,7 +224,7 @@ class Slam:
             T_node_robot = planar.to_pose(self._entry_pose[self._scan_entry[number]])
             points.append(T_node_robot.apply(in_robot))
         every = np.concatenate(points)
-        occupied = self._odometry.occupied.contains(lattice.quantise(T_map_node.apply(every)))
+        occupied = self._odometry.occupied.contains(lattice.quantise(T_local_node.apply(every)))
         return make_stretch(first, last, motion, every[occupied], lattice)
 
     def _usable(self, number: int) -> tuple[FloatArray, FloatArray]:
@@ -280,12 +281,14 @@ class Slam:
         by_match = _CHAIN * local_covariance(by_match, pose)
         return np.asarray(np.linalg.inv(np.linalg.inv(by_match) + np.linalg.inv(by_wheels)))
 
-    def _follow(self) -> None:
-        """Go on from the last node as it is now, on a local map that knows where the submaps are now."""
+    def _follow(self, local: FloatArray) -> None:
+        """Go on from the last node as it is now, with a local map that knows where the submaps are now.
+
+        ``local`` (3,) is where the node lies in the local map.
+        """
         last = len(self.graph) - 1
-        pose = self.graph.pose(last)
-        self._odometry.move_to(planar.to_pose(pose))
-        self._last = pose
+        self._last = self.graph.pose(last)
+        self._local.T_map_local = planar.compose(self._last, planar.invert(local))
         wanted, near = self._trusted(last)
         members = self._local.members
         limit = _MOVED * self._local.finest.resolution
@@ -300,7 +303,7 @@ class Slam:
 
     def _has_moved(self, k: int, limit: float) -> bool:
         """Tell whether a stretch in the local map lies elsewhere than where it was put."""
-        moved = planar.between(self._local.members[k], self.graph.pose(k))
+        moved = planar.between(self._local.members[k], self._local.in_local(self.graph.pose(k)))
         return planar.lever(moved, 0.5 * self.submaps[k].reach) > limit
 
     def _trusted(self, last: int) -> tuple[list[int], set[int]]:
@@ -344,9 +347,10 @@ class Slam:
             if k not in self._local.members:
                 self._add_to_local(k)
         self._odometry.match_against(self._local.builder)
+        self._odometry.move_to(planar.to_pose(self.graph.pose(last)))
 
     def _add_to_local(self, k: int) -> None:
-        stretch, pose = self._stretches[k], self.graph.pose(k)
+        stretch, pose = self._stretches[k], self._local.in_local(self.graph.pose(k))
         points = planar.to_pose(pose).apply(stretch.points)
         self._local.add(k, pose, points, stretch.weights.astype(np.int64))
 

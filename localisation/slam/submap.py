@@ -33,7 +33,10 @@ from localisation.slam import planar
 __all__ = ["Cells", "CompactScan", "Stretch", "Submap", "SubmapCells", "compact", "make_stretch"]
 
 # Scans whose beams say what is free in a submap: more say little more.
-_FREE_SCANS = 12
+_FREE_SCANS = 8
+# Levels of a pyramid that windows of so many cells need: its tables are most of a submap's memory.
+SMALL_LEVELS = 3
+SMALL_WINDOW = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +168,17 @@ class Cells:
 
     @cached_property
     def pyramid(self) -> OccupancyPyramid:
-        """The pyramid of its occupied cells."""
+        """The pyramid of its occupied cells, for windows of up to 128 of them."""
+        return OccupancyPyramid(self.occupied, levels=SMALL_LEVELS)
+
+    def pyramid_for(self, side: float) -> OccupancyPyramid:
+        """Return the pyramid of its occupied cells for a window whose longer side is so many metres."""
+        if side <= SMALL_WINDOW * self._maker.lattice.resolution:
+            return self.pyramid
+        return self._whole_pyramid
+
+    @cached_property
+    def _whole_pyramid(self) -> OccupancyPyramid:
         return OccupancyPyramid(self.occupied)
 
     @cached_property
@@ -180,14 +193,14 @@ class Cells:
 
     @cached_property
     def walls(self) -> VoxelList:
-        """Its occupied cells and those beside them, where a wall of another may lie."""
-        lattice = self._maker.lattice
-        index = self.occupied.index.astype(np.int64)
+        """Its occupied cells of twice the size and those beside them, where a wall of another may lie."""
+        lattice = self._maker.wide
+        index = VoxelList.from_points(self.raw_points, lattice).index.astype(np.int64)
         return VoxelList.from_cells(np.concatenate([index, *[index + o for o in lattice.neighbours]]), lattice)
 
     @cached_property
     def free(self) -> VoxelList:
-        """Its free cells."""
+        """Its free cells of twice the size."""
         passed = self._maker.passed(self._submap)
         return passed.select(~self.walls.contains(passed.index))
 
@@ -201,10 +214,10 @@ class SubmapCells:
         searched: Lattice,
         rule: StateRule,
         scan_of: Callable[[int], tuple[Scan, Pose]],
-        kept: int = 48,
+        kept: int = 24,
     ) -> None:
         """Take the lattices, and what gives a scan by its number with its pose T_node_sensor seen from its node."""
-        self.lattice = searched
+        self.lattice, self.wide = searched, searched.scaled(2.0)
         self.fine, self._rule, self._scan_of, self._kept = fine, rule, scan_of, kept
         self._cells: OrderedDict[int, Cells] = OrderedDict()
 
@@ -224,7 +237,7 @@ class SubmapCells:
         numbers = [n for first, last in submap.scans() for n in range(first, last)]
         chosen = sorted({numbers[k] for k in np.linspace(0, len(numbers) - 1, _FREE_SCANS).astype(int).tolist()})
         T_node_before = None if submap.before is None else planar.to_pose(submap.before.motion).inverse()
-        counter = CellCounter(self.lattice)
+        counter = CellCounter(self.wide)
         for number in chosen:
             scan, pose = self._scan_of(number)
             if number < submap.after.first and T_node_before is not None:
