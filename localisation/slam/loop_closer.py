@@ -241,7 +241,8 @@ class LoopCloser:
         """Look for a loop that waits and agrees with this one around their cycle; returns its number."""
         for number in self._waiting:
             other = self.records[number]
-            if abs(other.j - record.j) < _NEIGHBOURS - 1 and other.i != record.i:
+            # Of one submap in two old ones, or of two that share half, a chance would be the same.
+            if abs(other.j - record.j) < self.settings.confirm_nodes:
                 continue
             if self._cycle(other, record) <= self.limit:
                 self._waiting.remove(number)

@@ -33,8 +33,9 @@ class LoopSettings:
             doors and what quantising leaves.
         reverse_cells: by how many searched cells the search in the other direction may differ, and
         reverse_radians: by what angle.
-        confirm_metres: standard deviation of the place from which on a second loop must agree with the first one: so
-            far away another room may be that looks the same.
+        confirm_metres: standard deviation of the place from which on a second loop must agree with the first one: three
+            of them are as far as from one door or cupboard to the next one that looks the same.
+        confirm_nodes: by how many nodes the new submaps of the two loops must differ at least.
         probability: of a true loop to pass each test of its residual.
     """
 
@@ -52,8 +53,9 @@ class LoopSettings:
     max_contradicted: float = 0.2
     reverse_cells: float = 2.0
     reverse_radians: float = math.radians(1.0)
-    confirm_metres: float = 1.0
-    probability: float = 0.999
+    confirm_metres: float = 0.25
+    confirm_nodes: int = 2
+    probability: float = 0.99
 
     def __post_init__(self) -> None:
         """Check the limits.

@@ -1,0 +1,82 @@
+"""Buildings in which loops close, or must not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hexmap.poses.scan import Scan
+from hexmap.simulator.buildings import Building
+from hexmap.simulator.events import OdometryNoise, simulate
+from hexmap.simulator.laser import Laser
+from localisation.settings import MappingSettings
+from localisation.slam import planar
+from localisation.slam.settings import LoopSettings
+from localisation.slam.slam import Slam, SlamResult
+
+LASER = Laser(beams=91, rate=1.0, max_range=8.0)
+BAD = OdometryNoise(rate=2.0, translation=0.1, rotation=0.06, heading=0.03, scale_bias=0.1, heading_bias=0.02)
+
+
+def box(x: float, y: float, width: float, height: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+    corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
+    return list(zip(corners, [*corners[1:], corners[0]], strict=True))
+
+
+def ring() -> Building:
+    """Corridors 2.4 m wide around a block, with cupboards where no rule puts them, and a drive once around and on."""
+    walls = box(0, 0, 24, 18) + box(2.4, 2.4, 19.2, 13.2)
+    rng = np.random.default_rng(3)
+    for x in np.arange(2.0, 22.0, 1.9):
+        width, depth, height = rng.uniform(0.3, 1.2), rng.uniform(0.15, 0.5), rng.uniform(0.15, 0.5)
+        walls += box(x, 0.02, width, depth) + box(x + 0.3, 17.98 - height, 0.8 * width, height)
+    for y in np.arange(2.5, 15.0, 2.1):
+        width, depth, height = rng.uniform(0.3, 1.2), rng.uniform(0.15, 0.5), rng.uniform(0.15, 0.5)
+        walls += box(0.02, y, depth, width) + box(23.98 - height, y + 0.4, height, 0.7 * width)
+    path = [(4, 1.2), (22.8, 1.2), (22.8, 16.8), (1.2, 16.8), (1.2, 1.2), (16, 1.2)]
+    return Building("ring", np.array(walls), np.array(path))
+
+
+def twins() -> Building:
+    """Two rooms with the same things in them, 14 m apart along a bare corridor."""
+    walls = [((0.0, 0.0), (22.0, 0.0)), ((0.0, 0.0), (0.0, 2.4)), ((22.0, 0.0), (22.0, 2.4))]
+    for x in (0.0, 14.0):
+        walls += [((x, 2.4), (x, 8.0)), ((x, 8.0), (x + 8.0, 8.0)), ((x + 8.0, 8.0), (x + 8.0, 2.4))]
+        walls += [((x, 2.4), (x + 3.0, 2.4)), ((x + 5.0, 2.4), (x + 8.0, 2.4))]
+        walls += box(x + 0.8, 5.6, 1.1, 0.7) + box(x + 5.7, 3.0, 0.6, 1.4) + box(x + 6.1, 7.0, 1.2, 0.5)
+    walls += [((8.0, 2.4), (14.0, 2.4))]
+    path = [(4, 4), (5, 6.5), (2.5, 5), (4, 3.5), (4, 1.2), (18, 1.2), (18, 4), (19, 6.5), (16.5, 5), (18, 3.5)]
+    return Building("twins", np.array(walls), np.array(path))
+
+
+def drive(
+    building: Building,
+    odometry: OdometryNoise | None = None,
+    loops: LoopSettings | None = None,
+    seed: int = 1,
+    **settings: object,
+) -> tuple[SlamResult, np.ndarray]:
+    """Map a drive; returns the result and the true poses (N, 3) of all readings, seen from the first."""
+    slam = Slam(MappingSettings(mount=tuple(planar.of_pose(LASER.mount)), **settings), loops)
+    truth = []
+    for event in simulate(building, LASER, odometry, seed=seed):
+        truth.append(planar.of_pose(event.T_map_robot))
+        if isinstance(event.event, Scan):
+            slam.register(event.event)
+        else:
+            slam.observe(event.event)
+    true = np.array(truth)
+    return slam.finish(), planar.between(np.broadcast_to(true[0], true.shape), true)
+
+
+def errors(result: SlamResult, true: np.ndarray) -> np.ndarray:
+    """Metres by which each pose is off."""
+    seen = planar.between(np.broadcast_to(result.poses[0], result.poses.shape), result.poses)
+    return np.hypot(*(seen - true)[:, :2].T)
+
+
+def loop_errors(result: SlamResult, true: np.ndarray) -> np.ndarray:
+    """Metres by which each accepted loop is off."""
+    nodes = true[np.flatnonzero(result.is_scan)[result.node_scans]]
+    found = [r for r in result.records if r.accepted]
+    off = [planar.between(planar.between(nodes[r.i], nodes[r.j]), np.array(r.pose)) for r in found]
+    return np.array([np.hypot(d[0], d[1]) for d in off])
