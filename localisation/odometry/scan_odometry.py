@@ -23,6 +23,13 @@ __all__ = ["ScanOdometry"]
 # A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
 ENOUGH = 0.5
 WIDENING = (1.0, 2.0, 4.0)
+# Standard deviations of what the prediction has been off so far that make the first window, and how many scans the
+# window of the settings counts for at the beginning; after so many scans the older ones are forgotten by a half.
+_SIGMAS = 3.0
+_BEGIN = 5.0
+_FORGET = 0.5 ** (1.0 / 100.0)
+# A match so far out in the first window, in parts of it, may have its better half outside.
+_BORDER = 0.75
 # The number of coincident cells of a scan that half agrees scatters by about a tenth (the square
 # root of some hundred cells): two and a half times that is no chance.
 CLEARLY = 1.25
@@ -52,12 +59,28 @@ class ScanOdometry:
         True
     """
 
-    def __init__(self, settings: MappingSettings, builder: MapBuilder, mount: Pose | None = None) -> None:
-        """Make an odometry on the map in ``builder``; ``mount`` is T_robot_laser where the settings do not say."""
+    def __init__(
+        self, settings: MappingSettings, builder: MapBuilder, mount: Pose | None = None, *, learn: bool = False
+    ) -> None:
+        """Make an odometry on the map in ``builder``.
+
+        Args:
+            settings: of the map.
+            builder: what is matched against.
+            mount: T_robot_laser where the settings do not say.
+            learn: whether it is learnt how good the predictions are: where they are good a narrow window comes first,
+                and what is farther away must fit clearly better. Along a bare corridor more of a scan always lies on
+                known walls the less the robot has moved, so that the best of a wide window falls behind.
+        """
         self.settings = settings
         self.mount = make_mount(settings, mount)
         self._motion = MotionPredictor(use_odometry=settings.use_odometry, mount=self.mount)
         self._matcher = LocalMatcher(SearchWindow(settings.search_metres, settings.search_radians))
+        self._learn = learn
+        self._weight = _BEGIN
+        self._squares = [
+            _BEGIN * (settings.search_metres / _SIGMAS) ** 2, _BEGIN * (settings.search_radians / _SIGMAS) ** 2
+        ]  # fmt: skip
         self.match_against(builder)
 
     def match_against(self, builder: MapBuilder) -> None:
@@ -119,6 +142,12 @@ class ScanOdometry:
         window finds chance agreements: a wider search must beat the narrower one clearly.
         """
         best: Match | None = None
+        if self._learn:
+            window = self._likely_window()
+            best = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
+            if best is not None and best.fraction >= ENOUGH and not _at_border(predicted, best.pose, window):
+                self._note(predicted, best.pose)
+                return best
         for factor in WIDENING:
             window = SearchWindow(
                 self.settings.search_metres * factor, min(self.settings.search_radians * factor, math.pi)
@@ -128,4 +157,26 @@ class ScanOdometry:
             best = found or best
             if best is not None and best.fraction >= ENOUGH:
                 break
+        if best is not None:
+            self._note(predicted, best.pose)
         return best
+
+    def _likely_window(self) -> SearchWindow:
+        """Return the window in which the scan should lie by what predictions have been off so far."""
+        metres, radians = (_SIGMAS * math.sqrt(square / self._weight) for square in self._squares)
+        # One step of the search to each side: nearer than that the refinement finds it.
+        return SearchWindow(min(metres, self.settings.search_metres), min(radians, self.settings.search_radians))
+
+    def _note(self, predicted: Pose, pose: Pose) -> None:
+        """Remember by how much a prediction was off."""
+        delta = predicted.inverse() @ pose
+        self._weight = _FORGET * self._weight + 1.0
+        for k, square in enumerate((float((delta.translation**2).sum()), delta.angle**2)):
+            self._squares[k] = _FORGET * self._squares[k] + square
+
+
+def _at_border(predicted: Pose, pose: Pose, window: SearchWindow) -> bool:
+    """Tell whether a match lies so far out that what is outside the window may fit better."""
+    delta = predicted.inverse() @ pose
+    metres = math.hypot(delta.x, delta.y)
+    return metres > _BORDER * window.metres or delta.angle > _BORDER * window.radians

@@ -91,7 +91,7 @@ class Slam:
         import_gtsam()
         self.settings, self.loops = settings, loops or LoopSettings()
         self._local = LocalMap(settings)
-        self._odometry = ScanOdometry(settings, self._local.builder, mount)
+        self._odometry = ScanOdometry(settings, self._local.builder, mount, learn=True)
         self.mount = self._odometry.mount
         self.graph = PoseGraph()
         self.submaps: list[Submap] = []

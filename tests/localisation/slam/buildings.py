@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from hexmap.poses.scan import Scan
@@ -13,7 +15,7 @@ from localisation.slam import planar
 from localisation.slam.settings import LoopSettings
 from localisation.slam.slam import Slam, SlamResult
 
-LASER = Laser(beams=91, rate=1.0, max_range=8.0)
+LASER = Laser(beams=91, rate=1.0, max_range=15.0)
 BAD = OdometryNoise(rate=2.0, translation=0.1, rotation=0.06, heading=0.03, scale_bias=0.1, heading_bias=0.02)
 
 
@@ -22,17 +24,29 @@ def box(x: float, y: float, width: float, height: float) -> list[tuple[tuple[flo
     return list(zip(corners, [*corners[1:], corners[0]], strict=True))
 
 
+def niches(length: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Points along a wall of some length with niches, distance and depth: no two alike."""
+    points = [(0.0, 0.0)]
+    at = rng.uniform(0.8, 2.5)
+    while at < length - 3.0:
+        width, depth = rng.uniform(0.6, 2.2), rng.uniform(0.3, 1.8)
+        points += [(at, 0.0), (at, depth), (at + width, depth), (at + width, 0.0)]
+        at += width + rng.uniform(0.8, 3.0)
+    return [*points, (length, 0.0)]
+
+
 def ring() -> Building:
-    """Corridors 2.4 m wide around a block, with cupboards where no rule puts them, and a drive once around and on."""
-    walls = box(0, 0, 24, 18) + box(2.4, 2.4, 19.2, 13.2)
+    """Corridors 2.4 m wide around a block, with niches in the outer wall, and a drive once around and on."""
+    walls = box(2.4, 2.4, 25.2, 15.2)
     rng = np.random.default_rng(3)
-    for x in np.arange(2.0, 22.0, 1.9):
-        width, depth, height = rng.uniform(0.3, 1.2), rng.uniform(0.15, 0.5), rng.uniform(0.15, 0.5)
-        walls += box(x, 0.02, width, depth) + box(x + 0.3, 17.98 - height, 0.8 * width, height)
-    for y in np.arange(2.5, 15.0, 2.1):
-        width, depth, height = rng.uniform(0.3, 1.2), rng.uniform(0.15, 0.5), rng.uniform(0.15, 0.5)
-        walls += box(0.02, y, depth, width) + box(23.98 - height, y + 0.4, height, 0.7 * width)
-    path = [(4, 1.2), (22.8, 1.2), (22.8, 16.8), (1.2, 16.8), (1.2, 1.2), (16, 1.2)]
+    corners = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0]])
+    for k in range(4):
+        a, b = corners[k], corners[(k + 1) % 4]
+        along = (b - a) / np.hypot(*(b - a))
+        out = np.array([along[1], -along[0]])
+        points = [a + along * d + out * depth for d, depth in niches(float(np.hypot(*(b - a))), rng)]
+        walls += [(tuple(p), tuple(q)) for p, q in itertools.pairwise(points)]
+    path = [(4, 1.2), (28.8, 1.2), (28.8, 18.8), (1.2, 18.8), (1.2, 1.2), (24, 1.2)]
     return Building("ring", np.array(walls), np.array(path))
 
 
