@@ -165,7 +165,7 @@ class LoopCloser:
         return best
 
     def near(self, j: int, slack: float) -> IntArray:
-        """Return the submaps before ``j``, ascending, that may see what it sees where both may be ``slack`` metres off."""
+        """Return the submaps before ``j``, ascending, that may see what it sees, ``slack`` metres off."""
         poses = self._graph.poses[: j + 1]
         turn = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
         while len(self._middles) <= j:
@@ -178,7 +178,7 @@ class LoopCloser:
         return np.flatnonzero(apart[:j] < middles[:j, 2] + middles[j, 2] + slack)
 
     def _in_view(self, i: int, j: int) -> float:
-        """Return the share of the squares of two submaps that lie on squares of the other, or beside them: their mean."""
+        """Return the share of the squares of two submaps on or beside those of the other: the mean of both."""
         a, b = self._submaps[i], self._submaps[j]
         T_a_b = planar.to_pose(planar.between(self._graph.pose(i), self._graph.pose(j)))
         by_a = b.in_view(T_a_b.inverse().apply(a.coarse)) / max(1, len(a.coarse))
@@ -335,7 +335,8 @@ class LoopCloser:
         matcher = GlobalMatcher(old.pyramid_for(2.0 * float(sides.max())), _box(lattice, low, high))
         return matcher.match(
             some_points(new.points, _MOST_POINTS), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)),
-            runner_up=1.0 - self.settings.min_margin if both else None, refine=False, beams=False, information=False, node_limit=self.settings.node_limit,
+            runner_up=1.0 - self.settings.min_margin if both else None, refine=False,
+            beams=False, information=False, node_limit=self.settings.node_limit,
         )  # fmt: skip
 
 
@@ -365,8 +366,8 @@ def _agreement(old: Cells, new: Cells, pose: Pose) -> tuple[int, float, float]:
     counts = []
     for there, points, T in ((old, new.points, pose), (new, old.points, pose.inverse())):
         index = lattice.quantise(T.apply(points))
-        met = there.walls.contains(index)
-        counts.append((int(met.sum()), int((~met & there.free.contains(index)).sum()), len(points)))
+        on_wall = there.walls.contains(index)
+        counts.append((int(on_wall.sum()), int((~on_wall & there.free.contains(index)).sum()), len(points)))
     met, _, total = min(counts, key=lambda count: count[2])
     free, both = counts[0][1] + counts[1][1], counts[0][0] + counts[1][0]
     return met, met / total, free / max(1, free + both)

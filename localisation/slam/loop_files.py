@@ -25,8 +25,8 @@ _COVARIANCES = ("stamp", "scan", "x", "y", "heading", "xx", "xy", "xt", "yy", "y
 def write_loops(path: str | os.PathLike[str], result: SlamResult) -> None:
     """Write every loop that was tried as a line of a CSV file.
 
-    Nodes and scans count from 0; ``x``, ``y`` and ``heading_deg`` are the pose of the new node as seen from the old one;
-    numbers that a loop did not get to are empty. See :class:`~localisation.slam.loop_closer.LoopRecord`.
+    Nodes and scans count from 0; ``x``, ``y`` and ``heading_deg`` are the pose of the new node as seen from the old
+    one; numbers that a loop did not get to are empty. See :class:`~localisation.slam.loop_closer.LoopRecord`.
 
     Raises:
         FileAccessError: the folder is missing or not writable.

@@ -147,7 +147,7 @@ class PoseGraph:
         chosen = [e for e, edge in enumerate(self.edges) if not edge.loop] + loops
         params = gtsam.GncLMParams()
         params.setLossType(gtsam.GncLossType.TLS)
-        params.setKnownInliers(list(range(len(chosen) - len(loops))) + [len(chosen)])
+        params.setKnownInliers([*range(len(chosen) - len(loops)), len(chosen)])
         solver = gtsam.GncLMOptimizer(self._graph(gtsam, chosen), self._values(gtsam), params)
         solver.setInlierCostThresholdsAtProbability(probability)
         self._take(solver.optimize())
@@ -270,8 +270,6 @@ class PoseGraph:
         with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as handle:
             for k, (x, y, theta) in enumerate(self.poses.tolist()):
                 handle.write(f"VERTEX_SE2 {k} {x:.9f} {y:.9f} {theta:.12f}\n")
-            if len(self):
-                handle.write("FIX 0\n")
             for edge, weight in zip(self.edges, self.weights, strict=True):
                 if weight < _KEPT:
                     continue

@@ -1,4 +1,4 @@
-"""Simultaneous localisation and mapping of a planar log: predict, match, fuse into the submap, look for loops, optimise.
+"""Simultaneous localisation and mapping: predict, match, fuse into the submap, look for loops, optimise.
 
 A scan is matched against the scans just before it and those old submaps whose place the graph knows well enough; it
 becomes a node of the graph where enough path has come together since the last one. Each finished submap is looked for
@@ -80,9 +80,7 @@ class Slam:
         fractions: sum of the shares of the matched scans' cells that coincided.
     """
 
-    def __init__(
-        self, settings: MappingSettings, loops: LoopSettings | None = None, mount: Pose | None = None
-    ) -> None:
+    def __init__(self, settings: MappingSettings, loops: LoopSettings | None = None, mount: Pose | None = None) -> None:
         """Begin with an empty map; ``mount`` is T_robot_laser where the settings do not say.
 
         Raises:
@@ -337,7 +335,9 @@ class Slam:
         for k in recent:
             for number in range(self._stretches[k].first, self._stretches[k].last):
                 T_node_robot = planar.to_pose(self._entry_pose[self._scan_entry[number]])
-                scans.append((self.scans[number].scan(), planar.to_pose(self.graph.pose(k)) @ T_node_robot @ self.mount))
+                scans.append(
+                    (self.scans[number].scan(), planar.to_pose(self.graph.pose(k)) @ T_node_robot @ self.mount)
+                )
         number = self._node_scans[-1]
         scans.append((self.scans[number].scan(), planar.to_pose(self.graph.pose(last)) @ self.mount))
         self._local.renew(scans)

@@ -121,7 +121,7 @@ class Submap:
         for i in (-1, 0, 1):
             for j in (-1, 0, 1):
                 view[tuple((squares - corner + [i, j]).T)] = True
-        return cls(number, before, after, middle, reach, squares + 0.5, view, corner)
+        return cls(number, before, after, middle, reach, (squares + 0.5).astype(np.float64), view, corner)
 
     def in_view(self, points: FloatArray) -> int:
         """Return how many of some points (P, n) in its frame lie on its squares of a metre or beside them."""

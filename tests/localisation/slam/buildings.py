@@ -15,7 +15,7 @@ from localisation.slam import planar
 from localisation.slam.settings import LoopSettings
 from localisation.slam.slam import Slam, SlamResult
 
-LASER = Laser(beams=91, rate=1.0, max_range=15.0)
+LASER = Laser(beams=121, rate=2.0, max_range=15.0)
 BAD = OdometryNoise(rate=2.0, translation=0.1, rotation=0.06, heading=0.03, scale_bias=0.1, heading_bias=0.02)
 
 
@@ -94,3 +94,18 @@ def loop_errors(result: SlamResult, true: np.ndarray) -> np.ndarray:
     found = [r for r in result.records if r.accepted]
     off = [planar.between(planar.between(nodes[r.i], nodes[r.j]), np.array(r.pose)) for r in found]
     return np.array([np.hypot(d[0], d[1]) for d in off])
+
+
+def revisit_errors(result: SlamResult, true: np.ndarray) -> np.ndarray:
+    """Metres by which scans that were taken at one place on two laps are off from one another."""
+    at = np.flatnonzero(result.is_scan)
+    poses, truth = result.poses[at], true[at]
+    out = []
+    for k in range(len(at)):
+        distance = np.hypot(*(truth[:, :2] - truth[k, :2]).T)
+        distance[max(0, k - len(at) // 3) :] = np.inf
+        first = int(np.argmin(distance))
+        if distance[first] < 0.5:
+            off = planar.between(poses[first], poses[k]) - planar.between(truth[first], truth[k])
+            out.append(np.hypot(off[0], off[1]))
+    return np.array(out)
