@@ -18,6 +18,7 @@ from hexmap.base.errors import ArgumentError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.occupancy import Occupancy
+from localisation.matching.sheets import Sheet, make_sheet
 
 __all__ = ["MOST_WEIGHT", "OccupancyPyramid", "Tables", "cell_reach", "level_windows", "most_motion", "most_spread"]
 
@@ -151,6 +152,7 @@ class OccupancyPyramid:
                 index, steps, self.low, grid.apart, grid.step, grid.window, grid.first, self._addresses(grid), values
             )
         self._tables: dict[int, Tables] = {}
+        self._sheets: dict[int, tuple[int, Sheet]] = {}
 
     def _grid(self, window: int, apart: int, shape: IntArray) -> _Grid:
         step = max(1, apart // 4)
@@ -197,6 +199,16 @@ class OccupancyPyramid:
                 )
             }  # fmt: skip
         return self._tables[wanted]
+
+    def sheet(self, level: int, reach: int) -> Sheet:
+        """Return the tables that bound all blocks of a level at once, up to ``reach`` indices beyond the cells' box."""
+        wanted = 1 << max(6, int(reach).bit_length())
+        if level not in self._sheets or self._sheets[level][0] < wanted:
+            weights = np.asarray(self._source.counts)
+            steps = (-(-weights // self.unit)).astype(np.uint8)
+            index = self._source.index.astype(np.int64)
+            self._sheets[level] = wanted, make_sheet(index, steps, level_windows(self.lattice, level), level, wanted)
+        return self._sheets[level][1]
 
     def _reaching(self, grid: _Grid, start: int, margin: int, length: int) -> NDArray[np.int32]:
         """Return what each index from ``margin`` before the box on adds to the address, (n, length)."""

@@ -14,8 +14,9 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
-from localisation.matching.global_matcher import GlobalMatcher, _tilts, match_anywhere, thin
+from localisation.matching.global_matcher import GlobalMatcher, match_anywhere, thin
 from localisation.matching.pyramid import OccupancyPyramid, level_windows
+from localisation.matching.rotation_cells import cut_tilts
 from localisation.matching.score import coincidence, hits, likelihood
 from localisation.matching.search_region import SearchRegion
 from tests.lattices import CASES, PART, PLANAR, SHEARED, SPATIAL, Case
@@ -151,7 +152,7 @@ def test_the_tilts_of_a_ball_are_searched_too(case: Case) -> None:
     match = matcher.match(points, SearchRegion(low, high, tilt=tilt), angles=step, refine=False, runner_up=None)
     kept, point_weights = thin(points, lattice)
     motion = float(np.sqrt((kept**2).sum(axis=1)).max() * np.linalg.norm(np.linalg.inv(lattice.basis), axis=1).max())
-    tilts, _, starts, _, _ = _tilts(3, tilt, motion, 2)
+    tilts, _, starts, _, _ = cut_tilts(3, tilt, motion, 2)
     finest = tilts[: starts[1]]
     assert len(finest) > 4
     # Neighbouring tilts move no point by more than a cell.
