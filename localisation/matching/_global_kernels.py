@@ -796,15 +796,6 @@ def probe(
 
 
 @njit(cache=True, nogil=True)
-def most_children(rotations, level, n):
-    """Return how many children a node of a level can have."""
-    tilts = 0
-    for t in range(rotations.tilt_start[level], rotations.tilt_start[level + 1]):
-        tilts = max(tilts, rotations.child_start[t + 1] - rotations.child_start[t])
-    return (rotations.group[level] // rotations.group[level - 1] + 1) * tilts << n
-
-
-@njit(cache=True, nogil=True)
 def search(
     scan, lattice, rotations, tables, arcs, region, root_level, root_bound, root_node, stack, state, best_node,
     best_yaw, most_nodes,

@@ -255,8 +255,7 @@ class BranchAndBound:
         roots = self._roots(fixed, state, best_node, best_yaw, end)
         if roots is None:
             return None
-        children = k.most_children(self.rotations, self.top, n)
-        stack = _stack(k, (self.top + 2) * children + 64, n)
+        stack = _stack(k, sum(self._most_children(level) for level in range(1, self.top + 1)) + 64, n)
         code = k.PAUSED
         while code == k.PAUSED:
             code = k.search(
@@ -396,13 +395,20 @@ class BranchAndBound:
     ) -> bool:
         """Look for a good pose below the best of some nodes of a level; False: the slots had no room."""
         k = self.kernels
-        children = k.most_children(self.rotations, level, self.points.shape[1])
-        widths = np.minimum(np.array(_WIDTHS[: level + 1]), max(16, _MOST_NODES // 4 // children))
+        children = [1, *(self._most_children(below) for below in range(1, level + 1))]
+        widths = np.minimum(np.array(_WIDTHS[: level + 1]), np.maximum(16, _MOST_NODES // 4 // np.array(children)))
         best = np.argsort(-nodes.bound, kind="stable")[: int(widths[level])]
-        room = _stack(k, max(64, int(widths.max()) * children), self.points.shape[1])
+        room = _stack(k, int((widths * children).max()), self.points.shape[1])
         return bool(
             k.probe(*fixed, level, nodes.bound[best], nodes.node[best], room, widths, state, best_node, best_yaw) != k.FULL
         )
+
+    def _most_children(self, level: int) -> int:
+        """Return how many children a node of a level can have."""
+        r = self.rotations
+        first, last = int(r.tilt_start[level]), int(r.tilt_start[level + 1])
+        tilts = int(np.diff(r.child_start[first : last + 1]).max())
+        return (int(r.group[level]) // int(r.group[level - 1]) + 1) * tilts << self.points.shape[1]
 
     def _number(self, level: int, nodes: _Nodes) -> IntArray:
         """Return the number of each node's cell of rotations."""
