@@ -485,10 +485,23 @@ def _sweep(scan, tables, cells, begin, entered, angle, owner, order, first, last
 
 
 @njit(cache=True, nogil=True)
+def _tag(level, q, tilt):
+    """Return the number of a cell of rotations."""
+    return (np.int64(tilt) << 32) | (np.int64(level) << 26) | np.int64(q)
+
+
+@njit(cache=True, nogil=True)
+def _slot_number(level, q, tilt, slots):
+    """Return the slot in which a cell of rotations lies where it lies in any."""
+    # Neighbours differ in a few low bits; the product spreads them over all.
+    return np.int64((np.uint64(_tag(level, q, tilt)) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)) % np.uint64(slots))
+
+
+@njit(cache=True, nogil=True)
 def _exact_slot(scan, lattice, rotations, arcs, q, tilt):
     """Return the slot of a cell of rotations of level 0, filled; -1 where its crossings have no room."""
     tag = (np.int64(tilt) << 32) | np.int64(q)
-    slot = (q + tilt * 8191) % arcs.exact_tag.shape[0]
+    slot = _slot_number(0, q, tilt, arcs.exact_tag.shape[0])
     if arcs.exact_tag[slot] != tag:
         arcs.exact_tag[slot] = -1
         used = _exact_arcs(
@@ -533,18 +546,6 @@ def _to_addresses(tables, level, kind, rows):
         table = level * variants + kind[p]
         for a in range(n):
             rows[p, a] += (n * table + a) * length - low[a]
-
-
-@njit(cache=True, nogil=True)
-def _tag(level, q, tilt):
-    """Return the number of a cell of rotations."""
-    return (np.int64(tilt) << 32) | (np.int64(level) << 26) | np.int64(q)
-
-
-@njit(cache=True, nogil=True)
-def _slot_number(level, q, tilt, slots):
-    """Return the slot in which a cell of rotations lies where it lies in any."""
-    return (q * 7 + level * 1031 + tilt * 8191) % slots
 
 
 @njit(cache=True, nogil=True)

@@ -14,8 +14,10 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def _places(sheet, first, kind, shift, at):
-    """Write where in the sheet each point's entry for the first block stands."""
+def _places(sheet, first, kind, weights, shift, begin, end, at, heavy):
+    """Write where in the sheet the entry for the first block stands, and the weight, of those of the points ``begin``
+    to ``end`` that find anything in it; return how many do.
+    """
     n = first.shape[1]
     step_bits = np.int64(0)
     while (1 << step_bits) < sheet.step:
@@ -23,23 +25,32 @@ def _places(sheet, first, kind, shift, at):
     block_bits = sheet.level
     phase_bits = block_bits - step_bits
     mask = (np.int64(1) << phase_bits) - 1
-    for p in range(first.shape[0]):
+    used = np.int64(0)
+    for p in range(begin, end):
         phase = np.int64(kind[p])
-        block = sheet.front
+        place = sheet.front
+        inside = True
         for a in range(n):
             # Shifts to the right round down, also below zero.
-            place = np.int64(first[p, a]) + shift[a] - sheet.low[a]
-            phase = (phase << phase_bits) | ((place >> step_bits) & mask)
-            block += (place >> block_bits) * sheet.strides[a]
-        at[p] = phase * sheet.size + block
+            index = np.int64(first[p, a]) + shift[a] - sheet.low[a]
+            phase = (phase << phase_bits) | ((index >> step_bits) & mask)
+            block = index >> block_bits
+            # A row that begins farther away than it is long, or behind the map, is zero.
+            inside &= block >= -sheet.margin[a] and block < sheet.blocks[a]
+            place += block * sheet.strides[a]
+        if inside:
+            at[used] = phase * sheet.size + place
+            heavy[used] = weights[p]
+            used += 1
+    return used
 
 
 @njit(cache=True, nogil=True)
-def _add_points(values, at, weights, begin, end, start, count, sums):
-    """Add the entries of points ``begin`` to ``end`` to ``sums[start : start + count]``, four points at a time."""
+def _add_points(values, at, weights, points, start, count, sums):
+    """Add the entries of so many points to ``sums[start : start + count]``, four points at a time."""
     held = sums[start : start + count]
-    p = begin
-    while p + 4 <= end:
+    p = 0
+    while p + 4 <= points:
         a = values[at[p] + start : at[p] + start + count]
         b = values[at[p + 1] + start : at[p + 1] + start + count]
         c = values[at[p + 2] + start : at[p + 2] + start + count]
@@ -51,7 +62,7 @@ def _add_points(values, at, weights, begin, end, start, count, sums):
                 held[i] + np.uint16(a[i]) * wa + np.uint16(b[i]) * wb + np.uint16(c[i]) * wc + np.uint16(d[i]) * wd
             )
         p += 4
-    while p < end:
+    while p < points:
         a = values[at[p] + start : at[p] + start + count]
         wa = weights[p]
         for i in range(count):
@@ -80,6 +91,7 @@ def add_up(sheet, first, kind, covered, weights, stops, most, shift, blocks, run
     n = blocks.shape[0]
     values = sheet.values
     at = np.empty(first.shape[1], np.int64)
+    heavy = np.empty(first.shape[1], np.uint16)
     last = blocks[n - 1]
     rows = np.int64(1)
     for a in range(n - 1):
@@ -88,13 +100,13 @@ def add_up(sheet, first, kind, covered, weights, stops, most, shift, blocks, run
         if not covered[b]:
             out[b, :] = most
             continue
-        _places(sheet, first[b], kind[b], shift, at)
         out[b, :] = 0
         begin = np.int64(0)
         for end in stops:
+            points = _places(sheet, first[b], kind[b], weights, shift, begin, end, at, heavy)
             for r in range(runs.shape[0]):
                 sums[runs[r, 0] : runs[r, 0] + runs[r, 1]] = 0
-                _add_points(values, at, weights, begin, end, runs[r, 0], runs[r, 1], sums)
+                _add_points(values, at, heavy, points, runs[r, 0], runs[r, 1], sums)
             begin = end
             for row in range(rows):
                 rest = row

@@ -20,9 +20,10 @@ from hexmap.base.errors import TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
-from localisation.matching.pyramid import OccupancyPyramid, cell_reach
+from localisation.matching.pyramid import FARTHEST_PART, OccupancyPyramid, cell_reach
 from localisation.matching.rotation_cells import cut_rotations
 from localisation.matching.search_region import SearchRegion
+from localisation.matching.sheets import Sheet
 
 __all__ = ["BranchAndBound", "Found", "SearchSpace"]
 
@@ -147,14 +148,16 @@ class BranchAndBound:
         self.points: FloatArray = self.scan.points
         self.weights = self.scan.weights.astype(np.int64)
         self.box, low, high = _region_box(space, region)
-        farthest = math.sqrt(float((self.points**2).sum(axis=1).max()))
-        self.motion = max(farthest * float(space.row_norms.max()), 1e-9)
+        ranges = np.sqrt((self.points**2).sum(axis=1))
+        farthest = float(ranges.max())
+        radian = float(space.row_norms.max())
+        self.motion = max(max(float(np.median(ranges)), farthest / FARTHEST_PART) * radian, 1e-9)
         extent = int((high - low).max()) + 1 if (high >= low).all() else 0
         highest = max(1, min(extent.bit_length() - 2, space.pyramid.levels - 1))
         self.rotations = cut_rotations(region, space.lattice.dim, self.motion, highest, step)
         self._choose_level(low, high, highest)
         self.candidates = 0 if step is None else self._candidates(low, high)
-        self.reach = math.ceil(self.motion) + 8 + 4 * (1 << self.top)
+        self.reach = math.ceil(farthest * radian) + 8 + 4 * (1 << self.top)
         pyramid = space.pyramid
         self.reach += int(max((pyramid.low - self.low).max(), (high - pyramid.high).max(), 0))
         self.tables = pyramid.tables(self.reach)
@@ -275,7 +278,7 @@ class BranchAndBound:
         from localisation.matching import _sheet_kernels
 
         pyramid = self.space.pyramid
-        sheet = pyramid.sheet(level, self.reach)
+        sheet = self._sheet(level)
         count, n = self.points.shape
         blocks = self.blocks << (self.top - level)
         first = np.empty((len(yaw), count, n), np.int32)
@@ -294,6 +297,9 @@ class BranchAndBound:
             self.low, blocks, runs, np.empty(int(runs.sum(axis=1).max()), np.uint16), out,
         )  # fmt: skip
         return out
+
+    def _sheet(self, level: int) -> Sheet:
+        return self.space.pyramid.sheet(level, self.reach, self.space.high - self.space.low)
 
     def _most_steps(self) -> int:
         """Return what all points can score, in steps of a byte."""
@@ -439,7 +445,7 @@ class BranchAndBound:
     def _adds(self, level: int) -> int:
         """Return what it costs to bound all blocks of a level for a point, in additions of a byte."""
         blocks = self.blocks << (self.top - level)
-        runs = _runs(blocks, self.space.pyramid.sheet(level, self.reach).strides)
+        runs = _runs(blocks, self._sheet(level).strides)
         return int((runs[:, 1] + _ROW).sum())
 
     def _children(self, level: int, cells: IntArray) -> tuple[IntArray, IntArray]:
@@ -557,15 +563,20 @@ def _stops(weights: IntArray, lane: int, most: int | None = None) -> IntArray:
 
 
 def _runs(blocks: IntArray, strides: IntArray) -> IntArray:
-    """Return start and number of the entries to add up that hold all blocks: one run over all rows, or one a row."""
-    whole = int(((blocks - 1) * strides).sum()) + 1
-    heads = [np.arange(int(b)) * int(s) for b, s in zip(blocks[:-1], strides[:-1], strict=True)]
+    """Return start and number of the entries to add up that hold all blocks.
+
+    They are one run over all rows, or one over the last axes for each place along the first: whatever costs least.
+    """
+    best = np.zeros((0, 2), np.int64)
+    least = math.inf
     starts = np.zeros(1, np.int64)
-    for head in heads:
-        starts = (starts[:, None] + head).ravel()
-    if whole + _ROW <= len(starts) * (int(blocks[-1]) + _ROW):
-        return np.array([[0, whole]])
-    return np.column_stack([starts, np.full(len(starts), int(blocks[-1]))])
+    for a in range(len(blocks)):
+        count = int(((blocks[a:] - 1) * strides[a:]).sum()) + 1
+        if len(starts) * (count + _ROW) < least:
+            least = len(starts) * (count + _ROW)
+            best = np.column_stack([starts, np.full(len(starts), count)])
+        starts = (starts[:, None] + np.arange(int(blocks[a])) * int(strides[a])).ravel()
+    return best
 
 
 def _taken(nodes: _Nodes, which: NDArray[np.bool_] | slice) -> _Nodes:

@@ -7,7 +7,6 @@ to the bounds of all blocks. For that the boxes whose places differ by whole blo
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ class Sheet(NamedTuple):
     A place is an index counted from ``low``. It lies in block ``place // side``; its remainder, in steps of ``step``,
     is its phase. ``values`` holds a byte a box: size of box by size, phase by phase along each axis, and of each phase
     all blocks, row-major by ``strides``, block 0 at ``front``. Rows are parted by blocks outside the map, which hold
-    zero: a place up to ``margin`` blocks beyond the map may be looked up, and lies there.
+    zero: a row of blocks may begin up to ``margin`` blocks before the map, and lies there as far as it lies outside.
 
     Attributes:
         values: flat uint8.
@@ -36,9 +35,11 @@ class Sheet(NamedTuple):
         strides: (n,) of the blocks of one phase.
         front: blocks before the first of a phase.
         size: blocks of a phase, with all margins.
+        blocks: (n,) blocks along each axis that may hold something.
         level: of the blocks.
         step: indices from phase to phase.
         margin: (n,) blocks beyond the map on each side.
+        beyond: (n,) indices for which it was made.
     """
 
     values: NDArray[np.uint8]
@@ -47,9 +48,11 @@ class Sheet(NamedTuple):
     strides: IntArray
     front: int
     size: int
+    blocks: IntArray
     level: int
     step: int
     margin: IntArray
+    beyond: IntArray
 
     @property
     def phases(self) -> int:
@@ -58,7 +61,7 @@ class Sheet(NamedTuple):
 
 
 def make_sheet(
-    cells: IntArray, weights: NDArray[np.uint8], windows: tuple[int, ...], level: int, beyond: int
+    cells: IntArray, weights: NDArray[np.uint8], windows: tuple[int, ...], level: int, beyond: IntArray
 ) -> Sheet:
     """Return the tables of a level.
 
@@ -67,7 +70,7 @@ def make_sheet(
         weights: (M,) what each weighs, in steps.
         windows: indices along an axis of the boxes.
         level: of the blocks.
-        beyond: how many indices beyond the box of the cells are looked up.
+        beyond: (n,) over how many indices along each axis all shifts reach.
     """
     n = cells.shape[1]
     side = 1 << level
@@ -77,7 +80,7 @@ def make_sheet(
     widest = max(windows) + step - 2
     low = cells.min(axis=0) - widest
     blocks = ((cells.max(axis=0) - low) >> level) + 1
-    margin = np.full(n, (beyond >> level) + 2)
+    margin = (beyond >> level) + 2
     strides = np.ones(n, np.int64)
     for a in range(n - 2, -1, -1):
         strides[a] = strides[a + 1] * (blocks[a + 1] + margin[a + 1])
@@ -103,7 +106,7 @@ def make_sheet(
         )
         inner[...] = parted
     return Sheet(
-        values.reshape(-1), np.array(windows), low, strides, front, size, level, step, margin
+        values.reshape(-1), np.array(windows), low, strides, front, size, blocks, level, step, margin, beyond
     )
 
 
@@ -118,9 +121,3 @@ def _sliding_maximum(values: NDArray[np.uint8], window: int, axis: int) -> NDArr
         np.maximum(moved[: len(later)], later, out=moved[: len(later)])
         held += more
     return out
-
-
-def adds_of(sheet_blocks: IntArray, strides: IntArray) -> int:
-    """Return how many blocks one point is added to where a region has ``sheet_blocks`` (n,) of them."""
-    last = sheet_blocks - 1
-    return int((last * strides).sum()) + 1 if math.prod(int(b) for b in sheet_blocks) else 0
