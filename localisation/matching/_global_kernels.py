@@ -494,7 +494,9 @@ def _tag(level, q, tilt):
 def _slot_number(level, q, tilt, slots):
     """Return the slot in which a cell of rotations lies where it lies in any."""
     # Neighbours differ in a few low bits; the product spreads them over all.
-    return np.int64((np.uint64(_tag(level, q, tilt)) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)) % np.uint64(slots))
+    return np.int64(
+        (np.uint64(_tag(level, q, tilt)) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)) % np.uint64(slots)
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -641,7 +643,9 @@ def _left_out(lattice, rotations, region, level, q, tilt, shift):
 
 @njit(cache=True, nogil=True)
 def allowed_blocks(lattice, region, level, low, blocks, out):
-    """Tell of each of ``blocks`` (n,) blocks of 2^level from ``low`` on, row-major, whether a shift of it may be taken."""
+    """Tell of each of ``blocks`` (n,) blocks of 2^level from ``low`` on, row-major, whether it holds a shift that may
+    be taken.
+    """
     n = low.shape[0]
     shift = np.empty(n, np.int64)
     for block in range(out.shape[0]):
@@ -746,7 +750,20 @@ def _expand(scan, lattice, rotations, tables, arcs, region, stack, base, level, 
 
 @njit(cache=True, nogil=True)
 def probe(
-    scan, lattice, rotations, tables, arcs, region, top, root_bound, root_node, stack, widths, state, best_node, best_yaw
+    scan,
+    lattice,
+    rotations,
+    tables,
+    arcs,
+    region,
+    top,
+    root_bound,
+    root_node,
+    stack,
+    widths,
+    state,
+    best_node,
+    best_yaw,
 ):
     """Find a good pose quickly: keep the ``widths[k]`` best nodes of each level k only; return DONE or FULL.
 
@@ -798,10 +815,24 @@ def probe(
 
 @njit(cache=True, nogil=True)
 def search(
-    scan, lattice, rotations, tables, arcs, region, root_level, root_bound, root_node, stack, state, best_node,
-    best_yaw, most_nodes,
+    scan,
+    lattice,
+    rotations,
+    tables,
+    arcs,
+    region,
+    root_level,
+    root_bound,
+    root_node,
+    stack,
+    state,
+    best_node,
+    best_yaw,
+    most_nodes,
 ):
-    """Carry a search on for ``most_nodes`` nodes; roots, of any level, are sorted by falling bound. Return DONE, PAUSED or FULL.
+    """Carry a search on for ``most_nodes`` nodes; return DONE, PAUSED or FULL.
+
+    Roots are of any level and sorted by falling bound.
 
     Nodes whose bound does not pass the best score so far are dropped; of the others the best child is looked at first,
     equal ones in a fixed order, so that the same input takes the same way on every run.

@@ -36,7 +36,7 @@ _MOST_BLOCKS = 1 << 26
 # A loop over a row of a sheet costs as much to begin as so many additions of bytes, and a look-up by itself as much
 # as so many of them.
 _ROW = 250
-_LOOK_UP = 400
+_LOOK_UP = 200
 # Rows of bounds that are held at once.
 _BATCH_BLOCKS = 1 << 21
 _MOST_NODES = 1 << 20
@@ -261,9 +261,7 @@ class BranchAndBound:
         stack = _stack(k, sum(self._most_children(level) for level in range(1, self.top + 1)) + 64, n)
         code = k.PAUSED
         while code == k.PAUSED:
-            code = k.search(
-                *fixed, roots.level, roots.bound, roots.node, stack, state, best_node, best_yaw, _SLICE
-            )
+            code = k.search(*fixed, roots.level, roots.bound, roots.node, stack, state, best_node, best_yaw, _SLICE)
             if code == k.FULL:
                 return None
             spent = self.node_limit is not None and int(state[k.NODES]) >= self.node_limit
@@ -406,7 +404,8 @@ class BranchAndBound:
         best = np.argsort(-nodes.bound, kind="stable")[: int(widths[level])]
         room = _stack(k, int((widths * children).max()), self.points.shape[1])
         return bool(
-            k.probe(*fixed, level, nodes.bound[best], nodes.node[best], room, widths, state, best_node, best_yaw) != k.FULL
+            k.probe(*fixed, level, nodes.bound[best], nodes.node[best], room, widths, state, best_node, best_yaw)
+            != k.FULL
         )
 
     def _most_children(self, level: int) -> int:
@@ -449,7 +448,7 @@ class BranchAndBound:
         return int((runs[:, 1] + _ROW).sum())
 
     def _children(self, level: int, cells: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the numbers of the cells of rotations one level down, and the rows of ``cells`` that they belong to."""
+        """Return the rows of ``cells``, and the numbers of the cells of rotations one level down that lie in them."""
         r = self.rotations
         yaw, tilt = self._cells_of(level, cells)
         first = yaw * r.group[level] // r.group[level - 1]

@@ -7,7 +7,7 @@ intervals of angles and boxes of shifts finds the largest, over all real angles 
 What is proved, and what is not. Shifts are lattice vectors, so that translations are searched at the spacing of the
 cells; the refinement goes below it. The yaw is a continuum: the largest score on any open interval between the angles
 at which a point lies on the face of a cell (nearer than float64 tells, those angles belong to no cell and are left
-out). In space the tilts are a grid on which neighbours move no point by more than a cell.
+out). In space the tilts are a grid on which neighbours move the median point of the scan by no more than a cell.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
-from hexmap.poses.pose import Pose
 from localisation.matching.beams import contradicted_share
 from localisation.matching.branch_and_bound import BranchAndBound, Found, SearchSpace
 from localisation.matching.information import score_covariance
@@ -35,7 +34,8 @@ from localisation.matching.refinement import refine_on
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
 
-__all__ = ["GlobalMatcher", "match_anywhere", "thin"]
+__all__ = ["GlobalMatcher", "match_anywhere", "spread_points", "thin"]
+
 
 def thin(points: FloatArray, lattice: Lattice) -> tuple[FloatArray, IntArray]:
     """Return one point for all that fall into one cell in the sensor's frame, their mean, and how many they are.
@@ -51,6 +51,31 @@ def thin(points: FloatArray, lattice: Lattice) -> tuple[FloatArray, IntArray]:
     starts = np.flatnonzero(new)
     weights = np.diff(np.append(starts, len(order)))
     return np.add.reduceat(points[order], starts, axis=0) / weights[:, None], weights
+
+
+def spread_points(points: FloatArray, lattice: Lattice, most: int) -> FloatArray:
+    """Return at most ``most`` points of a scan, spread evenly over what it sees.
+
+    Of each cell of a coarser lattice, as fine as that allows, it is the thinned point nearest to the mean of all: so it
+    lies on the surface that was seen.
+    """
+    kept, _ = thin(points, lattice)
+    size = 1.0
+    while len(kept) > most:
+        size *= math.sqrt(2.0)
+        coarse = lattice.scaled(size)
+        fine, _ = thin(points, lattice)
+        index = coarse.quantise(fine)
+        cells, cell = np.unique(index, axis=0, return_inverse=True)
+        cell = cell.ravel()
+        if len(cells) > most and len(cells) > 1:
+            continue
+        count = np.bincount(cell)
+        means = np.stack([np.bincount(cell, axis) / count for axis in fine.T], axis=1)
+        off = ((fine - means[cell]) ** 2).sum(axis=1)
+        order = np.lexsort((np.arange(len(fine)), off, cell))
+        kept = fine[order[np.searchsorted(cell[order], np.arange(len(cells)))]]
+    return kept
 
 
 class GlobalMatcher:
@@ -107,6 +132,7 @@ class GlobalMatcher:
         angles: str | float = "continuous",
         apart: tuple[float, float] = (0.5, math.radians(10.0)),
         runner_up: float | None = 0.9,
+        most_points: int | None = None,
         refine: bool = True,
         beams: bool = True,
         information: bool = True,
@@ -122,7 +148,9 @@ class GlobalMatcher:
             angles: "continuous", or a step in radians: then the yaws are its multiples, from ``region.yaw`` on.
             apart: metres and radians within which a pose is the same as the best.
             runner_up: down to which part of the best score other poses are looked for; None: not at all.
-            refine: whether the pose is refined below a cell.
+            most_points: at most so many points, spread evenly, are searched with, and score and proof are of these;
+                None: of all. Of a LiDAR's scan some hundred tell as much as all of its thousands.
+            refine: whether the pose is refined below a cell, with all points.
             beams: whether the beams that end beyond a wall are counted.
             information: whether the surface of scores around the best pose is turned into an information matrix.
             time_limit: seconds after which the search stops; what it found until then is not certified.
@@ -140,10 +168,12 @@ class GlobalMatcher:
             raise ArgumentError(f"the map is of dimension {n}, the scan {p.shape}")
         region = region or SearchRegion()
         _check(n, region, angles, apart, runner_up)
+        if most_points is not None and most_points < 1:
+            raise ArgumentError(f"a search takes at least one point, not {most_points}")
         if len(p) == 0 or self.pyramid.most == 0:
             return None
         end = math.inf if time_limit is None else time.monotonic() + time_limit
-        kept, weights = thin(p, lattice)
+        kept, weights = thin(p if most_points is None else spread_points(p, lattice, most_points), lattice)
         step = None if angles == "continuous" else float(angles)
         search = BranchAndBound(self.space, kept, weights, region, step, node_limit)
         best = search.run(0, end)

@@ -20,7 +20,17 @@ from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.occupancy import Occupancy
 from localisation.matching.sheets import Sheet, make_sheet
 
-__all__ = ["FARTHEST_PART", "MOST_WEIGHT", "PARTS", "OccupancyPyramid", "Tables", "cell_reach", "level_windows", "most_motion", "most_spread"]
+__all__ = [
+    "FARTHEST_PART",
+    "MOST_WEIGHT",
+    "PARTS",
+    "OccupancyPyramid",
+    "Tables",
+    "cell_reach",
+    "level_windows",
+    "most_motion",
+    "most_spread",
+]
 
 # Tiles of 4096 entries: those that are never written cost no memory.
 _TILE_BITS = {2: 6, 3: 4}

@@ -24,7 +24,7 @@ def cut_rotations(region: SearchRegion, n: int, motion: float, top: int, step: f
     Args:
         region: where to look.
         n: dimension.
-        motion: indices along an axis by which a radian moves the farthest point.
+        motion: indices along an axis by which a radian moves the median point of the scan.
         top: the highest level.
         step: radians between the stated yaws; None: the yaw is a continuum.
 
@@ -49,7 +49,7 @@ def cut_rotations(region: SearchRegion, n: int, motion: float, top: int, step: f
         raise TooLargeError(f"{count:,} angles are too many for a search")
     group = [1]
     for level in range(1, top + 1):
-        # The arc over a group moves the farthest point by no more than the tables were made for.
+        # The arc over a group moves the median point by no more than the tables were made for.
         room = most_motion(level) / (unit * motion)
         units = room if continuous else room + 1.0
         group.append(max(group[-1], 1 << max(0, math.floor(math.log2(units) + 1e-9)) if units >= 1.0 else 1))
@@ -63,8 +63,8 @@ def cut_tilts(n: int, tilt: float, motion: float, top: int) -> tuple[NDArray[Any
     """Return rotations, radii, starts by level, children and their starts of the patches of tilts.
 
     The tilts are a square grid of rotation vectors about horizontal axes in the disc of radius ``tilt``; its step
-    moves the farthest point by one index. A patch of a higher level holds a square of them that moves it by no more
-    than the tables were made for.
+    moves the median point of the scan by one index. A patch of a higher level holds a square of them that moves it by no
+    more than the tables were made for.
     """
     half = 0 if n == 2 or tilt <= 0.0 else math.ceil(tilt * motion)
     step = tilt / half if half else 0.0
@@ -96,5 +96,3 @@ def cut_tilts(n: int, tilt: float, motion: float, top: int) -> tuple[NDArray[Any
         number = inside
         starts.append(len(rotations))
     return np.array(rotations), np.array(radius), np.array(starts), np.array(children, np.int64), np.array(child_start)
-
-

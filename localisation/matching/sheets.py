@@ -105,9 +105,7 @@ def make_sheet(
             room[:, front:], shape=parted.shape, strides=(size, *[int(s) for s in strides])
         )
         inner[...] = parted
-    return Sheet(
-        values.reshape(-1), np.array(windows), low, strides, front, size, blocks, level, step, margin, beyond
-    )
+    return Sheet(values.reshape(-1), np.array(windows), low, strides, front, size, blocks, level, step, margin, beyond)
 
 
 def _sliding_maximum(values: NDArray[np.uint8], window: int, axis: int) -> NDArray[np.uint8]:
