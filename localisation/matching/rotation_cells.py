@@ -63,8 +63,8 @@ def cut_tilts(n: int, tilt: float, motion: float, top: int) -> tuple[NDArray[Any
     """Return rotations, radii, starts by level, children and their starts of the patches of tilts.
 
     The tilts are a square grid of rotation vectors about horizontal axes in the disc of radius ``tilt``; its step
-    moves the median point of the scan by one index. A patch of a higher level holds a square of them that moves it by no
-    more than the tables were made for.
+    moves the median point of the scan by one index. A patch of a higher level holds a square of them that moves it by
+    no more than the tables were made for.
     """
     half = 0 if n == 2 or tilt <= 0.0 else math.ceil(tilt * motion)
     step = tilt / half if half else 0.0
