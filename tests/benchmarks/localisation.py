@@ -314,7 +314,12 @@ def _alone(world: World, count: int, region: SearchRegion | None, limit: float) 
     matcher = GlobalMatcher.of_map(world.map)
     how: dict[str, Any] = {"runner_up": None, "beams": False, "information": False, "time_limit": limit}
     chosen = world.some(count)
-    warm_up(matcher, chosen[0][0], region=region, **how)
+    if world.map.lattice.dim == 3:
+        rng = np.random.default_rng(0)
+        chosen = [levelled(points, true, rng) for points, true in chosen]
+        how["most_points"] = SPACE_POINTS
+    for points, _ in chosen:
+        warm_up(matcher, points, region=region, **how)
     return [look(matcher, p, t, region=region, **how) for p, t in chosen]
 
 
