@@ -101,7 +101,8 @@ class Arcs(NamedTuple):
     """Slots for cells of rotations: what their points' arcs touch, kept until another cell wants the slot.
 
     ``tag`` (S,) says which cell of rotations a slot holds and ``covered`` (S,) whether the pyramid's tables reach
-    over all its boxes; ``rows`` (S, P, n) is where each point's box begins, as a place in the tables' addresses.
+    over all its boxes; ``rows`` (S, P, n) is where each point's box begins, as a place in the tables' addresses;
+    ``kind`` (P,) is room for which size of box that is.
     Slots of level 0 also hold the cells in which the points begin, ``exact`` (S0, P, n), and the crossings: ``begin``
     (S0, P + 1) where each point's begin, ``entered`` (S0, E, n) the cells entered, ``angle`` (S0, E) where, ``owner``
     (S0, E) whose, ``order`` (S0, E) sorted by angle.
@@ -110,6 +111,7 @@ class Arcs(NamedTuple):
     tag: np.ndarray
     covered: np.ndarray
     rows: np.ndarray
+    kind: np.ndarray
     exact_tag: np.ndarray
     exact: np.ndarray
     begin: np.ndarray
@@ -172,13 +174,13 @@ def _variant(windows, needed):
 
 
 @njit(cache=True, nogil=True)
-def _box_arcs_plane(waves, reach0, reach1, c0, s0, c1, s1, half_turn, windows, level, length, low, rows):
-    """Write where the box of cells that each point's arc can touch begins; tell whether the tables cover all boxes.
+def _box_arcs_plane(waves, reach0, reach1, c0, s0, c1, s1, half_turn, windows, level, first, kind):
+    """Write where the box of cells that each point's arc can touch begins, and which of the tables' boxes holds it;
+    tell whether one does for all points.
 
     A point of the cell around c has |u - c| at most ``reach`` along an axis.
     """
     covered = True
-    tables = windows.shape[0]
     size = (np.int64(1) << level) - 1
     for p in range(waves.shape[0]):
         # One table serves both axes, so the wider of the two ranges says which.
@@ -190,20 +192,18 @@ def _box_arcs_plane(waves, reach0, reach1, c0, s0, c1, s1, half_turn, windows, l
         widest = max(widest, np.int64(np.floor(most + reach1)) - first1 + 1)
         variant = _variant(windows, widest + size)
         covered &= windows[variant] >= widest + size
-        table = level * tables + variant
-        rows[p, 0] = 2 * table * length + first0 - low[0]
-        rows[p, 1] = (2 * table + 1) * length + first1 - low[1]
+        kind[p] = variant
+        first[p, 0] = first0
+        first[p, 1] = first1
     return covered
 
 
 @njit(cache=True, nogil=True)
-def _box_arcs_space(scan, lattice, rotations, tables, level, tilt, c0, s0, c1, s1, half_turn, rows):
+def _box_arcs_space(scan, lattice, rotations, windows, level, tilt, c0, s0, c1, s1, half_turn, first, kind):
     """The same in space, where a tilt by at most w moves a point by at most 2 |p| sin(w / 2)."""
     chord = 2.0 * np.sin(0.5 * min(rotations.radius[tilt], np.pi))
     T = rotations.tilts[tilt]
     points, inverse, half = scan.points, lattice.inverse, lattice.half
-    windows, length, low = tables.windows[level], tables.length, tables.low
-    first = np.empty(3, np.int64)
     size = (np.int64(1) << level) - 1
     covered = True
     for p in range(points.shape[0]):
@@ -219,29 +219,40 @@ def _box_arcs_space(scan, lattice, rotations, tables, level, tilt, c0, s0, c1, s
             least, most = _wave_range(X, Y, c0, s0, c1, s1, half_turn)
             rise = inverse[a, 2] * z
             reach = half[a] + 1e-9 + sway * half[3 + a]
-            first[a] = np.int64(np.ceil(least + rise - reach))
-            widest = max(widest, np.int64(np.floor(most + rise + reach)) - first[a] + 1)
+            begin = np.int64(np.ceil(least + rise - reach))
+            widest = max(widest, np.int64(np.floor(most + rise + reach)) - begin + 1)
+            first[p, a] = begin
         variant = _variant(windows, widest + size)
         covered &= windows[variant] >= widest + size
-        table = level * windows.shape[0] + variant
-        for a in range(3):
-            rows[p, a] = (3 * table + a) * length + first[a] - low[a]
+        kind[p] = variant
     return covered
 
 
 @njit(cache=True, nogil=True)
-def _box_arcs(scan, lattice, rotations, tables, level, q, tilt, rows):
-    """Write where the box of cells that each point's arc can touch begins; tell whether the tables cover all boxes."""
+def _box_arcs(scan, lattice, rotations, windows, level, q, tilt, first, kind):
+    """Write where the box of cells that each point's arc can touch begins, and which of the tables' boxes holds it;
+    tell whether one does for all points.
+    """
     low_yaw, high_yaw = _yaw_range(rotations, level, q)
     c0, s0 = np.cos(low_yaw), np.sin(low_yaw)
     c1, s1 = np.cos(high_yaw), np.sin(high_yaw)
     half_turn = high_yaw - low_yaw >= np.pi
     if scan.points.shape[1] == 2:
         return _box_arcs_plane(
-            scan.waves, lattice.half[0] + 1e-9, lattice.half[1] + 1e-9, c0, s0, c1, s1, half_turn,
-            tables.windows[level], level, tables.length, tables.low, rows,
+            scan.waves, lattice.half[0] + 1e-9, lattice.half[1] + 1e-9, c0, s0, c1, s1, half_turn, windows, level,
+            first, kind,
         )  # fmt: skip
-    return _box_arcs_space(scan, lattice, rotations, tables, level, tilt, c0, s0, c1, s1, half_turn, rows)
+    return _box_arcs_space(scan, lattice, rotations, windows, level, tilt, c0, s0, c1, s1, half_turn, first, kind)
+
+
+@njit(cache=True, nogil=True)
+def arc_boxes(scan, lattice, rotations, windows, level, yaw, tilt, first, kind, covered):
+    """Write the boxes of many cells of rotations of a level, ``yaw`` (B,) and ``tilt`` (B,): where they begin into
+    ``first`` (B, P, n), which of the tables' boxes holds them into ``kind`` (B, P), and whether one does for all points
+    into ``covered`` (B,).
+    """
+    for b in range(yaw.shape[0]):
+        covered[b] = _box_arcs(scan, lattice, rotations, windows, level, yaw[b], tilt[b], first[b], kind[b])
 
 
 @njit(cache=True, nogil=True)
@@ -474,10 +485,25 @@ def _sweep(scan, tables, cells, begin, entered, angle, owner, order, first, last
 
 
 @njit(cache=True, nogil=True)
+def _tag(level, q, tilt):
+    """Return the number of a cell of rotations."""
+    return (np.int64(tilt) << 32) | (np.int64(level) << 26) | np.int64(q)
+
+
+@njit(cache=True, nogil=True)
+def _slot_number(level, q, tilt, slots):
+    """Return the slot in which a cell of rotations lies where it lies in any."""
+    # Neighbours differ in a few low bits; the product spreads them over all.
+    return np.int64(
+        (np.uint64(_tag(level, q, tilt)) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)) % np.uint64(slots)
+    )
+
+
+@njit(cache=True, nogil=True)
 def _exact_slot(scan, lattice, rotations, arcs, q, tilt):
     """Return the slot of a cell of rotations of level 0, filled; -1 where its crossings have no room."""
     tag = (np.int64(tilt) << 32) | np.int64(q)
-    slot = (q + tilt * 8191) % arcs.exact_tag.shape[0]
+    slot = _slot_number(0, q, tilt, arcs.exact_tag.shape[0])
     if arcs.exact_tag[slot] != tag:
         arcs.exact_tag[slot] = -1
         used = _exact_arcs(
@@ -491,11 +517,11 @@ def _exact_slot(scan, lattice, rotations, arcs, q, tilt):
 
 
 @njit(cache=True, nogil=True)
-def _exact_boxes(scan, tables, cells, begin, entered, rows):
-    """Write where the box of the cells that each point really touches begins; tell whether the tables cover all."""
+def _exact_boxes(windows, cells, begin, entered, low, kind):
+    """Write where the box of the cells that each point really touches begins, and which of the tables' boxes holds it;
+    tell whether one does for all points.
+    """
     n = cells.shape[1]
-    low = np.empty(n, np.int64)
-    windows, length, table_low = tables.windows[0], tables.length, tables.low
     covered = True
     for p in range(cells.shape[0]):
         widest = np.int64(1)
@@ -505,25 +531,23 @@ def _exact_boxes(scan, tables, cells, begin, entered, rows):
             for e in range(begin[p], begin[p + 1]):
                 first = min(first, np.int64(entered[e, a]))
                 last = max(last, np.int64(entered[e, a]))
-            low[a] = first
+            low[p, a] = first
             widest = max(widest, last - first + 1)
         variant = _variant(windows, widest)
         covered &= windows[variant] >= widest
-        for a in range(n):
-            rows[p, a] = (n * variant + a) * length + low[a] - table_low[a]
+        kind[p] = variant
     return covered
 
 
 @njit(cache=True, nogil=True)
-def _tag(level, q, tilt):
-    """Return the number of a cell of rotations."""
-    return (np.int64(tilt) << 32) | (np.int64(level) << 26) | np.int64(q)
-
-
-@njit(cache=True, nogil=True)
-def _slot_number(level, q, tilt, slots):
-    """Return the slot in which a cell of rotations lies where it lies in any."""
-    return (q * 7 + level * 1031 + tilt * 8191) % slots
+def _to_addresses(tables, level, kind, rows):
+    """Turn the index at which each point's box begins into its place in the tables' addresses."""
+    n = rows.shape[1]
+    variants, length, low = tables.windows.shape[1], tables.length, tables.low
+    for p in range(rows.shape[0]):
+        table = level * variants + kind[p]
+        for a in range(n):
+            rows[p, a] += (n * table + a) * length - low[a]
 
 
 @njit(cache=True, nogil=True)
@@ -534,14 +558,17 @@ def _slot(scan, lattice, rotations, tables, arcs, level, q, tilt):
     if arcs.tag[slot] != tag:
         arcs.tag[slot] = -1
         if level > 0:
-            arcs.covered[slot] = _box_arcs(scan, lattice, rotations, tables, level, q, tilt, arcs.rows[slot])
+            arcs.covered[slot] = _box_arcs(
+                scan, lattice, rotations, tables.windows[level], level, q, tilt, arcs.rows[slot], arcs.kind
+            )
         else:
             exact = _exact_slot(scan, lattice, rotations, arcs, q, tilt)
             if exact < 0:
                 return -1
             arcs.covered[slot] = _exact_boxes(
-                scan, tables, arcs.exact[exact], arcs.begin[exact], arcs.entered[exact], arcs.rows[slot]
+                tables.windows[0], arcs.exact[exact], arcs.begin[exact], arcs.entered[exact], arcs.rows[slot], arcs.kind
             )
+        _to_addresses(tables, level, arcs.kind, arcs.rows[slot])
         arcs.tag[slot] = tag
     return slot
 
@@ -615,55 +642,18 @@ def _left_out(lattice, rotations, region, level, q, tilt, shift):
 
 
 @njit(cache=True, nogil=True)
-def roots(scan, lattice, rotations, tables, arcs, region, floor, out_bound, out_node):
-    """Write all nodes of the top level whose bound passes ``floor``; return how many, or -1 where there is no room.
-
-    ``out_node`` (R, 2 + n) receives yaw group, tilt and the block's low corner.
+def allowed_blocks(lattice, region, level, low, blocks, out):
+    """Tell of each of ``blocks`` (n,) blocks of 2^level from ``low`` on, row-major, whether it holds a shift that may
+    be taken.
     """
-    n = region.low.shape[0]
-    top = region.top
-    size = np.int64(1) << top
-    per = np.int64(1)
-    for a in range(n):
-        per *= region.blocks[a]
-    groups = -(-rotations.count // rotations.group[top])
+    n = low.shape[0]
     shift = np.empty(n, np.int64)
-    child = np.empty(n, np.int64)
-    bounds = np.empty(1 << n, np.int64)
-    packed, address, unit = tables.packed, tables.address, tables.unit
-    weights, rest_of, stops = scan.weights, scan.rest, scan.stops
-    used = 0
-    for tilt in range(rotations.tilt_start[top], rotations.tilt_start[top + 1]):
-        for q in range(groups):
-            slot = _slot(scan, lattice, rotations, tables, arcs, top, q, tilt)
-            if slot < 0:
-                return -1
-            rows = arcs.rows[slot]
-            covered = arcs.covered[slot]
-            for block in range(per):
-                rest = block
-                for a in range(n - 1, -1, -1):
-                    shift[a] = region.low[a] + (rest % region.blocks[a]) * 2 * size
-                    rest //= region.blocks[a]
-                if covered:
-                    if _bounds(packed, address, unit, weights, rest_of, stops, rows, shift, floor, bounds) <= floor:
-                        continue
-                else:
-                    bounds[:] = rest_of[0]
-                for c in range(1 << n):
-                    if bounds[c] <= floor:
-                        continue
-                    for a in range(n):
-                        child[a] = shift[a] + (size if (c >> a) & 1 else 0)
-                    if _forbidden(lattice, region, top, child):
-                        continue
-                    out_bound[used] = bounds[c]
-                    out_node[used, 0] = q
-                    out_node[used, 1] = tilt
-                    for a in range(n):
-                        out_node[used, 2 + a] = child[a]
-                    used += 1
-    return used
+    for block in range(out.shape[0]):
+        rest = block
+        for a in range(n - 1, -1, -1):
+            shift[a] = low[a] + ((rest % blocks[a]) << level)
+            rest //= blocks[a]
+        out[block] = not _forbidden(lattice, region, level, shift)
 
 
 @njit(cache=True, nogil=True)
@@ -760,12 +750,25 @@ def _expand(scan, lattice, rotations, tables, arcs, region, stack, base, level, 
 
 @njit(cache=True, nogil=True)
 def probe(
-    scan, lattice, rotations, tables, arcs, region, root_bound, root_node, stack, widths, state, best_node, best_yaw
+    scan,
+    lattice,
+    rotations,
+    tables,
+    arcs,
+    region,
+    top,
+    root_bound,
+    root_node,
+    stack,
+    widths,
+    state,
+    best_node,
+    best_yaw,
 ):
     """Find a good pose quickly: keep the ``widths[k]`` best nodes of each level k only; return DONE or FULL.
 
     Nothing is proved by it. But a search that begins with a score near the best drops most nodes at the first look.
-    ``stack`` is room for the children of all nodes kept on a level.
+    Roots are of level ``top``; ``stack`` is room for the children of all nodes kept on a level.
     """
     n = region.low.shape[0]
     current = np.empty(scan.points.shape[0], np.int64)
@@ -773,12 +776,12 @@ def probe(
     bounds = np.empty(1 << n, np.int64)
     shift = np.empty(n, np.int64)
     # Level by level only the best are carried on; their children compete with each other.
-    kept = min(widths[region.top], root_bound.shape[0])
+    kept = min(widths[top], root_bound.shape[0])
     yaw = root_node[:kept, 0].copy()
     tilt = root_node[:kept, 1].copy()
     shifts = root_node[:kept, 2:].copy()
     bound = root_bound[:kept].copy()
-    for level in range(region.top, 0, -1):
+    for level in range(top, 0, -1):
         used = 0
         for k in range(kept):
             if bound[k] <= state[BEST] or _left_out(lattice, rotations, region, level, yaw[k], tilt[k], shifts[k]):
@@ -811,47 +814,25 @@ def probe(
 
 
 @njit(cache=True, nogil=True)
-def deepen(scan, lattice, rotations, tables, arcs, region, root_bound, root_node, begin, stack, used, state):
-    """Replace the nodes of the top level by their children, from number ``begin`` on while there is room in ``stack``.
-
-    Return the next node to take, how many children there are, and whether a cell of rotations had no room. On the top
-    levels nearly every point finds something in its box, so that bounds say little of which node to look into first.
-    """
-    n = region.low.shape[0]
-    bounds = np.empty(1 << n, np.int64)
-    r = begin
-    room = stack.bound.shape[0] - most_children(rotations, region.top, n)
-    # Roots are sorted: behind the first that cannot win none can.
-    while r < root_bound.shape[0] and root_bound[r] > state[BEST] and used <= room:
-        if not _left_out(lattice, rotations, region, region.top, root_node[r, 0], root_node[r, 1], root_node[r, 2:]):
-            more = _expand(
-                scan, lattice, rotations, tables, arcs, region, stack, used, region.top, root_node[r, 0],
-                root_node[r, 1], root_node[r, 2:], root_bound[r], state, bounds,
-            )  # fmt: skip
-            if more < 0:
-                return r, used, False
-            used = more
-        r += 1
-    if r < root_bound.shape[0] and root_bound[r] <= state[BEST]:
-        r = root_bound.shape[0]
-    return r, used, True
-
-
-@njit(cache=True, nogil=True)
-def most_children(rotations, level, n):
-    """Return how many children a node of a level can have."""
-    tilts = 0
-    for t in range(rotations.tilt_start[level], rotations.tilt_start[level + 1]):
-        tilts = max(tilts, rotations.child_start[t + 1] - rotations.child_start[t])
-    return (rotations.group[level] // rotations.group[level - 1] + 1) * tilts << n
-
-
-@njit(cache=True, nogil=True)
 def search(
-    scan, lattice, rotations, tables, arcs, region, root_level, root_bound, root_node, stack, state, best_node,
-    best_yaw, most_nodes,
+    scan,
+    lattice,
+    rotations,
+    tables,
+    arcs,
+    region,
+    root_level,
+    root_bound,
+    root_node,
+    stack,
+    state,
+    best_node,
+    best_yaw,
+    most_nodes,
 ):
-    """Carry a search on for ``most_nodes`` nodes; roots are sorted by falling bound. Return DONE, PAUSED or FULL.
+    """Carry a search on for ``most_nodes`` nodes; return DONE, PAUSED or FULL.
+
+    Roots are of any level and sorted by falling bound.
 
     Nodes whose bound does not pass the best score so far are dropped; of the others the best child is looked at first,
     equal ones in a fixed order, so that the same input takes the same way on every run.
@@ -868,7 +849,7 @@ def search(
             r = state[ROOT]
             if r >= root_bound.shape[0] or root_bound[r] <= state[BEST]:
                 return DONE
-            _push(stack, 0, 0, root_level, root_node[r, 0], root_node[r, 1], root_node[r, 2:], root_bound[r])
+            _push(stack, 0, 0, root_level[r], root_node[r, 0], root_node[r, 1], root_node[r, 2:], root_bound[r])
             state[ROOT] += 1
             state[USED] = 1
         if state[NODES] >= end:

@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
 from hexmap.poses.pose import Pose, wrap_angle
-from localisation.matching.global_matcher import GlobalMatcher, _Search, thin
+from localisation.matching.branch_and_bound import BranchAndBound
+from localisation.matching.global_matcher import GlobalMatcher, thin
 from localisation.matching.search_region import SearchRegion
 
 __all__ = ["Candidate", "Hypotheses", "find_hypotheses", "is_same_place"]
@@ -104,9 +105,7 @@ def find_hypotheses(
     def look(region: SearchRegion, without: Pose | None) -> None:
         nonlocal complete
         away = None if without is None else (without, apart)
-        search = _Search(matcher, kept, weights, region, None)
-        search.node_limit = node_limit
-        found = search.run(floor, end, away)
+        found = BranchAndBound(matcher.space, kept, weights, region, node_limit=node_limit).run(floor, end, away)
         complete = complete and found.finished
         if found.pose is not None:
             heapq.heappush(queue, (-found.score, tries * 2 + len(queue), found.pose, region, without))
@@ -135,7 +134,7 @@ def find_hypotheses(
 
 def _everywhere(matcher: GlobalMatcher) -> SearchRegion:
     """Return the box in which the sensor may be, as a region with corners."""
-    low, high = matcher._low, matcher._high
+    low, high = matcher.space.low, matcher.space.high
     corners = np.array(np.meshgrid(*np.stack([low, high]).T, indexing="ij")).reshape(len(low), -1).T
     centres = matcher.lattice.centres(corners)
     room = matcher.lattice.covering_radius

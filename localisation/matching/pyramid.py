@@ -18,14 +18,27 @@ from hexmap.base.errors import ArgumentError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.occupancy import Occupancy
+from localisation.matching.sheets import Sheet, make_sheet
 
-__all__ = ["MOST_WEIGHT", "OccupancyPyramid", "Tables", "cell_reach", "level_windows", "most_motion", "most_spread"]
+__all__ = [
+    "FARTHEST_PART",
+    "MOST_WEIGHT",
+    "PARTS",
+    "OccupancyPyramid",
+    "Tables",
+    "cell_reach",
+    "level_windows",
+    "most_motion",
+    "most_spread",
+]
 
 # Tiles of 4096 entries: those that are never written cost no memory.
 _TILE_BITS = {2: 6, 3: 4}
 _MOST_ENTRIES = 1 << 31
-_VARIANTS = 3
 MOST_WEIGHT = 65535
+PARTS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""What the points of a scan move, as parts of what its median point does, for which there are boxes."""
+FARTHEST_PART = PARTS[-1]
 
 
 class Tables(NamedTuple):
@@ -36,7 +49,7 @@ class Tables(NamedTuple):
         cell_address: (n * length,) int32, what an index adds to the flat address in ``cells``, axis by axis.
         packed: flat; an entry holds the maxima over 2^n boxes, a byte each.
         address: (T * n * length,) int32, the same for the tables in ``packed``.
-        windows: (levels, 3) indices along an axis of the boxes of each level's tables, ascending.
+        windows: (levels, V) indices along an axis of the boxes of each level's tables, ascending.
         low: (n,) the index that stands first.
         length: indices an axis.
         unit: weight that one of a byte stands for.
@@ -65,18 +78,22 @@ class _Grid(NamedTuple):
     tiles: IntArray
 
 
-def most_spread(lattice: Lattice, level: int) -> int:
+def most_spread(lattice: Lattice, level: int, part: float = FARTHEST_PART) -> int:
     """Return over how many indices along an axis a moving point may reach at a level of the search.
 
     A cell reaches ``2 h`` along each axis, h the extent of the Voronoi cell in lattice coordinates; the arc of a point
-    over the angles of a node at most :func:`most_motion`, and in space its sway over the node's tilts as much again.
+    over the angles of a node at most ``part`` times :func:`most_motion`, and in space its sway over the node's tilts as
+    much again.
     """
     moves = 1 if lattice.dim == 2 else 2
-    return math.floor(2.0 * float(cell_reach(lattice).max()) + moves * most_motion(level) + 1e-6) + 1
+    return math.floor(2.0 * float(cell_reach(lattice).max()) + moves * part * most_motion(level) + 1e-6) + 1
 
 
 def most_motion(level: int) -> float:
-    """Return how many indices the rotations of a node may move a point: half of its block, one at the lowest levels."""
+    """Return how many indices the rotations of a node may move the median point of a scan.
+
+    Half of its block, one at the lowest levels. Points farther away have boxes of their own, nearer ones too.
+    """
     return max(1.0, 0.5 * (1 << level))
 
 
@@ -85,11 +102,9 @@ def cell_reach(lattice: Lattice) -> FloatArray:
     return np.asarray((lattice.cell.vertices @ np.linalg.inv(lattice.basis).T).max(axis=0))
 
 
-def level_windows(lattice: Lattice, level: int) -> tuple[int, int, int]:
-    """Return the boxes of a level's tables: for points that reach over a third, two thirds and all of the most."""
-    most = most_spread(lattice, level)
-    first, second, third = ((1 << level) - 1 + -(-most * part // _VARIANTS) for part in range(1, _VARIANTS + 1))
-    return first, second, third
+def level_windows(lattice: Lattice, level: int) -> tuple[int, ...]:
+    """Return the boxes of a level's tables: one for each of :data:`PARTS` of what the median point moves."""
+    return tuple((1 << level) - 1 + most_spread(lattice, level, part) for part in PARTS)
 
 
 class OccupancyPyramid:
@@ -151,6 +166,7 @@ class OccupancyPyramid:
                 index, steps, self.low, grid.apart, grid.step, grid.window, grid.first, self._addresses(grid), values
             )
         self._tables: dict[int, Tables] = {}
+        self._sheets: dict[int, Sheet] = {}
 
     def _grid(self, window: int, apart: int, shape: IntArray) -> _Grid:
         step = max(1, apart // 4)
@@ -189,7 +205,7 @@ class OccupancyPyramid:
                 self._reaching(grid, start, wanted, length)
                 for grid, start in zip([self._cell_grid, *self._grids], [0, *self._starts], strict=True)
             ]
-            windows = np.array([grid.window for grid in self._grids]).reshape(-1, _VARIANTS)
+            windows = np.array([grid.window for grid in self._grids]).reshape(-1, len(PARTS))
             self._tables = {
                 wanted: Tables(
                     self.cells, rows[0].ravel(), self.packed, np.stack(rows[1:]).ravel(), windows,
@@ -197,6 +213,23 @@ class OccupancyPyramid:
                 )
             }  # fmt: skip
         return self._tables[wanted]
+
+    def sheet(self, level: int, reach: int, span: IntArray) -> Sheet:
+        """Return the tables that bound all blocks of a level at once.
+
+        Args:
+            level: of the blocks.
+            reach: how many indices beyond the cells' box are looked up, and
+            span: (n,) over how many at once along each axis: farther away all is zero.
+        """
+        wanted = 1 << max(6, int(reach).bit_length())
+        beyond = np.minimum(wanted, span)
+        if level not in self._sheets or (self._sheets[level].beyond < beyond).any():
+            weights = np.asarray(self._source.counts)
+            steps = (-(-weights // self.unit)).astype(np.uint8)
+            index = self._source.index.astype(np.int64)
+            self._sheets[level] = make_sheet(index, steps, level_windows(self.lattice, level), level, beyond)
+        return self._sheets[level]
 
     def _reaching(self, grid: _Grid, start: int, margin: int, length: int) -> NDArray[np.int32]:
         """Return what each index from ``margin`` before the box on adds to the address, (n, length)."""
@@ -226,5 +259,5 @@ class OccupancyPyramid:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all tables."""
-        return int(self.cells.nbytes + self.packed.nbytes)
+        """Bytes of all tables, those made on demand included."""
+        return int(self.cells.nbytes + self.packed.nbytes + sum(s.values.nbytes for s in self._sheets.values()))

@@ -42,6 +42,7 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.builder import MapBuilder
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose, wrap_angle
+from hexmap.poses.rotations import exponential
 from hexmap.poses.scan import Scan
 from hexmap.simulator.buildings import Building, make_building
 from hexmap.simulator.events import OdometryNoise, simulate
@@ -57,6 +58,9 @@ from tests.benchmarks._common import data_folder, table, versions
 
 # Every so many scans one is held out of the map and looked for.
 HELD_OUT = 20
+# Degrees about each horizontal axis by which a levelled scan still leans, and points of it that are searched with.
+LEAN = 2.0
+SPACE_POINTS = 300
 # Outlines of a match that is right: of the cells, and in degrees.
 RIGHT_CELLS, RIGHT_DEGREES = 2.0, 1.0
 
@@ -310,7 +314,12 @@ def _alone(world: World, count: int, region: SearchRegion | None, limit: float) 
     matcher = GlobalMatcher.of_map(world.map)
     how: dict[str, Any] = {"runner_up": None, "beams": False, "information": False, "time_limit": limit}
     chosen = world.some(count)
-    warm_up(matcher, chosen[0][0], region=region, **how)
+    if world.map.lattice.dim == 3:
+        rng = np.random.default_rng(0)
+        chosen = [levelled(points, true, rng) for points, true in chosen]
+        how["most_points"] = SPACE_POINTS
+    for points, _ in chosen:
+        warm_up(matcher, points, region=region, **how)
     return [look(matcher, p, t, region=region, **how) for p, t in chosen]
 
 
@@ -508,6 +517,20 @@ def _errors(name: str, kind: str, seed: int, count: int) -> list[tuple[NDArray[n
 # ---------------------------------------------------------------------- space, and the same bits
 
 
+def levelled(points: NDArray[np.float64], true: Pose, rng: np.random.Generator) -> tuple[NDArray[np.float64], Pose]:
+    """Turn a scan upright as an accelerometer would, but for some degrees, and its pose with it.
+
+    The sensor in the hall is carried, and leans by up to 37 degrees; a search near gravity needs to be told of that.
+    """
+    up = true.rotation.T @ np.array([0.0, 0.0, 1.0])
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    upright = exponential(axis / max(sine, 1e-12) * math.atan2(sine, float(up[2])))
+    lean = rng.uniform(-1.0, 1.0, 2) * math.radians(LEAN)
+    turn = exponential(np.array([*lean, 0.0])) @ upright
+    return points @ turn.T, Pose(true.rotation @ turn.T, true.translation)
+
+
 def tilted() -> SearchRegion:
     """Return the whole map, all yaws and tilts of up to 5 degrees."""
     return SearchRegion(tilt=math.radians(5.0))
@@ -525,9 +548,11 @@ def space(cache: Path, sizes: Sizes) -> None:
         begin = time.process_time()
         matcher = GlobalMatcher.of_map(world.map)
         build = time.process_time() - begin
-        chosen = world.some(sizes.space)
-        warm_up(matcher, chosen[0][0], region=tilted(), time_limit=sizes.limit)
-        how: dict[str, Any] = {"region": tilted(), "time_limit": sizes.limit}
+        rng = np.random.default_rng(0)
+        chosen = [levelled(points, true, rng) for points, true in world.some(sizes.space)]
+        how: dict[str, Any] = {"region": tilted(), "time_limit": sizes.limit, "most_points": SPACE_POINTS}
+        for points, _ in chosen:
+            warm_up(matcher, points, **how)
         only = [look(matcher, p, t, runner_up=None, beams=False, information=False, **how) for p, t in chosen]
         full = [look(matcher, p, t, **how) for p, t in chosen]
         matches = [t.match for t in only if t.match is not None]

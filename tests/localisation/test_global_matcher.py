@@ -14,8 +14,9 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
-from localisation.matching.global_matcher import GlobalMatcher, _tilts, match_anywhere, thin
-from localisation.matching.pyramid import OccupancyPyramid, level_windows
+from localisation.matching.global_matcher import GlobalMatcher, match_anywhere, thin
+from localisation.matching.pyramid import FARTHEST_PART, OccupancyPyramid, level_windows
+from localisation.matching.rotation_cells import cut_tilts
 from localisation.matching.score import coincidence, hits, likelihood
 from localisation.matching.search_region import SearchRegion
 from tests.lattices import CASES, PART, PLANAR, SHEARED, SPATIAL, Case
@@ -150,13 +151,15 @@ def test_the_tilts_of_a_ball_are_searched_too(case: Case) -> None:
     tilt, step = 0.5, 2 * math.pi / 16
     match = matcher.match(points, SearchRegion(low, high, tilt=tilt), angles=step, refine=False, runner_up=None)
     kept, point_weights = thin(points, lattice)
-    motion = float(np.sqrt((kept**2).sum(axis=1)).max() * np.linalg.norm(np.linalg.inv(lattice.basis), axis=1).max())
-    tilts, _, starts, _, _ = _tilts(3, tilt, motion, 2)
+    ranges = np.sqrt((kept**2).sum(axis=1))
+    typical = max(float(np.median(ranges)), float(ranges.max()) / FARTHEST_PART)
+    motion = typical * float(np.linalg.norm(np.linalg.inv(lattice.basis), axis=1).max())
+    tilts, _, starts, _, _ = cut_tilts(3, tilt, motion, 2)
     finest = tilts[: starts[1]]
     assert len(finest) > 4
-    # Neighbouring tilts move no point by more than a cell.
+    # Neighbouring tilts move half of the points by no more than a cell.
     turn = exponential(np.array([tilt / math.ceil(tilt * motion), 0, 0])) - np.eye(3)
-    moved = np.linalg.norm(kept @ turn.T, axis=1).max()
+    moved = np.median(np.linalg.norm(kept @ turn.T, axis=1))
     assert moved <= 1.0 / np.linalg.norm(np.linalg.inv(lattice.basis), axis=1).max() + 1e-9
     best = max(every.best(kept, point_weights, turned(3, k * step, T)) for k in range(16) for T in finest)
     assert match is not None and match.score == best and match.gap == 0
