@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from localisation.matching.information import TEMPERATURE
 from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.match import Match
 from localisation.matching.occupancy import Occupancy
+from localisation.matching.refinement import refine_on
 from localisation.matching.search_region import SearchWindow
 from localisation.odometry.motion import MotionPredictor
 from localisation.odometry.odometry import Reading, RegisteredScan
@@ -29,6 +31,7 @@ WIDENING = (1.0, 2.0, 4.0)
 _SIGMAS = 3.0
 _BEGIN = 5.0
 _FORGET = 0.5 ** (1.0 / 100.0)
+_STEPS = 10
 # A match so far out in the first window, in parts of it, may have its better half outside.
 _BORDER = 0.75
 # Half of a squared distance in standard deviations from which on it is asked whether a nearer pose is likelier.
@@ -79,6 +82,7 @@ class ScanOdometry:
         self.mount = make_mount(settings, mount)
         self._motion = MotionPredictor(use_odometry=settings.use_odometry, mount=self.mount)
         self._matcher = LocalMatcher(SearchWindow(settings.search_metres, settings.search_radians))
+        self._searcher = LocalMatcher(refine=False)
         self._learn = learn
         self._weight = _BEGIN
         self._squares = [
@@ -169,9 +173,9 @@ class ScanOdometry:
         best: Match | None = None
         likeliest = -math.inf
         while True:
-            found = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
+            found = self._searcher.match(points, predicted, self._coarse, window=window)
             if found is None:
-                return best
+                break
             delta = predicted.inverse() @ found.searched
             squares = float((delta.translation**2).sum()), delta.angle**2
             unlikely = 0.5 * sum(q * self._weight / s for q, s in zip(squares, self._squares, strict=True))
@@ -180,14 +184,20 @@ class ScanOdometry:
             if likelihood > likeliest:
                 best, likeliest = found, likelihood
             if unlikely <= _FAR or window.metres < 0.5 * self._coarse.lattice.resolution:
-                return best
+                break
             window = SearchWindow(0.5 * window.metres, 0.5 * window.radians)
+        if best is None:
+            return None
+        refined = refine_on(self._fine, points, best.searched, searched=self._coarse.lattice)
+        return replace(best, pose=refined.pose, refined=refined.converged)
 
     def _likely_window(self) -> SearchWindow:
         """Return the window in which the scan should lie by what predictions have been off so far."""
         metres, radians = (_SIGMAS * math.sqrt(square / self._weight) for square in self._squares)
-        # One step of the search to each side: nearer than that the refinement finds it.
-        return SearchWindow(min(metres, self.settings.search_metres), min(radians, self.settings.search_radians))
+        # By steps of a half more, so that the shifts of a window are made once and not for every scan.
+        steps = math.floor(math.log(self.settings.search_metres / max(metres, 1e-9), 1.5))
+        metres = self.settings.search_metres * 1.5 ** -max(0, min(steps, _STEPS))
+        return SearchWindow(metres, min(radians, self.settings.search_radians))
 
     def _note(self, predicted: Pose, pose: Pose) -> None:
         """Remember by how much a prediction was off."""
