@@ -7,6 +7,7 @@ in the old ones. All poses are kept relative to nodes, so that whatever moves a 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,10 @@ __all__ = ["Slam", "SlamResult"]
 
 # In cells of the finest level: the local map is made anew where a submap in it has moved by more.
 _MOVED = 0.5
+# A scan goes into the local map where the robot has moved by so much since the last one that did: half of a searched
+# cell, and what turns new walls into view. A robot that stands adds the same cells again and again.
+_NEWS_METRES = 0.05
+_NEWS_RADIANS = math.radians(2.0)
 # Of nodes that follow one another, the covariance of every so many is looked at.
 _EVERY = 4
 # Variance of the edge between two nodes, in what the surface of scores says of one match.
@@ -111,6 +116,7 @@ class Slam:
         self._entry_pose: list[FloatArray] = []
         self._entry_way: list[float] = []
         self._settled = 0
+        self._fused: Pose | None = None
         self._scan_entry: list[int] = []
         self._ways: list[float] = []
         self._chain: list[int] = []
@@ -141,7 +147,9 @@ class Slam:
             TooLargeError: it sees so far that there are too many angles or cells; the same.
         """
         registered = self._odometry.register(scan)
-        self._local.fuse(scan, registered.T_map_scan)
+        if self._is_news(registered.T_map_robot):
+            self._local.fuse(scan, registered.T_map_scan)
+            self._fused = registered.T_map_robot
         self._take_readings(registered.readings)
         if registered.match is not None:
             self.matched += 1
@@ -161,6 +169,13 @@ class Slam:
         self._scan_entry.append(len(self._stamps))
         self._enter(scan.stamp, True, local if number == 0 or not self._is_node(number) else self._local_node())
         return registered
+
+    def _is_news(self, T_local_robot: Pose) -> bool:
+        """Tell whether a scan sees anything that the last one in the local map did not, but for who walks by."""
+        if self._fused is None:
+            return True
+        moved = self._fused.inverse() @ T_local_robot
+        return math.hypot(moved.x, moved.y) > _NEWS_METRES or moved.angle > _NEWS_RADIANS
 
     def _is_node(self, number: int) -> bool:
         return self._node_scans[-1] == number
@@ -366,6 +381,7 @@ class Slam:
                 self._add_to_local(k)
         self._odometry.match_against(self._local.builder)
         self._odometry.move_to(planar.to_pose(self.graph.pose(last)))
+        self._fused = None
 
     def _add_to_local(self, k: int) -> None:
         stretch, pose = self._stretches[k], self._local.in_local(self.graph.pose(k))
