@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +11,11 @@ from hexmap.base.arrays import FloatArray
 from hexmap.maps.builder import MapBuilder
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Odometry, Scan
+from localisation.matching.information import TEMPERATURE
 from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.match import Match
 from localisation.matching.occupancy import Occupancy
+from localisation.matching.refinement import refine_on
 from localisation.matching.search_region import SearchWindow
 from localisation.odometry.motion import MotionPredictor
 from localisation.odometry.odometry import Reading, RegisteredScan
@@ -23,13 +26,16 @@ __all__ = ["ScanOdometry"]
 # A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
 ENOUGH = 0.5
 WIDENING = (1.0, 2.0, 4.0)
-# Standard deviations of what the prediction has been off so far that make the first window, and how many scans the
-# window of the settings counts for at the beginning; after so many scans the older ones are forgotten by a half.
+# Where it is learnt how good predictions are: standard deviations that make the first window, which begins at a third of
+# the settings' one, as if so many scans had shown it; after so many scans the older ones are forgotten by a half.
 _SIGMAS = 3.0
 _BEGIN = 5.0
 _FORGET = 0.5 ** (1.0 / 100.0)
+_STEPS = 10
 # A match so far out in the first window, in parts of it, may have its better half outside.
 _BORDER = 0.75
+# Half of a squared distance in standard deviations from which on it is asked whether a nearer pose is likelier.
+_FAR = 1.0
 # The number of coincident cells of a scan that half agrees scatters by about a tenth (the square
 # root of some hundred cells): two and a half times that is no chance.
 CLEARLY = 1.25
@@ -69,17 +75,18 @@ class ScanOdometry:
             builder: what is matched against.
             mount: T_robot_laser where the settings do not say.
             learn: whether it is learnt how good the predictions are: where they are good a narrow window comes first,
-                and what is farther away must fit clearly better. Along a bare corridor more of a scan always lies on
-                known walls the less the robot has moved, so that the best of a wide window falls behind.
+                and what is farther away must fit better by more than it is unlikely. Along a bare corridor more of a
+                scan lies on known walls the less the robot has moved, so that the best of a wide window falls behind.
         """
         self.settings = settings
         self.mount = make_mount(settings, mount)
         self._motion = MotionPredictor(use_odometry=settings.use_odometry, mount=self.mount)
         self._matcher = LocalMatcher(SearchWindow(settings.search_metres, settings.search_radians))
+        self._searcher = LocalMatcher(refine=False)
         self._learn = learn
         self._weight = _BEGIN
         self._squares = [
-            _BEGIN * (settings.search_metres / _SIGMAS) ** 2, _BEGIN * (settings.search_radians / _SIGMAS) ** 2
+            _BEGIN * (settings.search_metres / _SIGMAS**2) ** 2, _BEGIN * (settings.search_radians / _SIGMAS**2) ** 2
         ]  # fmt: skip
         self.match_against(builder)
 
@@ -144,7 +151,7 @@ class ScanOdometry:
         best: Match | None = None
         if self._learn:
             window = self._likely_window()
-            best = self._matcher.match(points, predicted, self._coarse, fine=self._fine, window=window)
+            best = self._likeliest(points, predicted, window)
             if best is not None and best.fraction >= ENOUGH and not _at_border(predicted, best.pose, window):
                 self._note(predicted, best.pose)
                 return best
@@ -161,11 +168,36 @@ class ScanOdometry:
             self._note(predicted, best.pose)
         return best
 
+    def _likeliest(self, points: FloatArray, predicted: Pose, window: SearchWindow) -> Match | None:
+        """Match in a window, and in narrower ones where what is found is far out; the likeliest of these."""
+        best: Match | None = None
+        likeliest = -math.inf
+        while True:
+            found = self._searcher.match(points, predicted, self._coarse, window=window)
+            if found is None:
+                break
+            delta = predicted.inverse() @ found.searched
+            squares = float((delta.translation**2).sum()), delta.angle**2
+            unlikely = 0.5 * sum(q * self._weight / s for q, s in zip(squares, self._squares, strict=True))
+            # The score as a likelihood, as the information of a match has it.
+            likelihood = found.score / (TEMPERATURE * found.total) - unlikely
+            if likelihood > likeliest:
+                best, likeliest = found, likelihood
+            if unlikely <= _FAR or window.metres < 0.5 * self._coarse.lattice.resolution:
+                break
+            window = SearchWindow(0.5 * window.metres, 0.5 * window.radians)
+        if best is None:
+            return None
+        refined = refine_on(self._fine, points, best.searched, searched=self._coarse.lattice)
+        return replace(best, pose=refined.pose, refined=refined.converged)
+
     def _likely_window(self) -> SearchWindow:
         """Return the window in which the scan should lie by what predictions have been off so far."""
         metres, radians = (_SIGMAS * math.sqrt(square / self._weight) for square in self._squares)
-        # One step of the search to each side: nearer than that the refinement finds it.
-        return SearchWindow(min(metres, self.settings.search_metres), min(radians, self.settings.search_radians))
+        # By steps of a half more, so that the shifts of a window are made once and not for every scan.
+        steps = math.floor(math.log(self.settings.search_metres / max(metres, 1e-9), 1.5))
+        metres = self.settings.search_metres * 1.5 ** -max(0, min(steps, _STEPS))
+        return SearchWindow(metres, min(radians, self.settings.search_radians))
 
     def _note(self, predicted: Pose, pose: Pose) -> None:
         """Remember by how much a prediction was off."""

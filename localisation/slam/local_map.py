@@ -16,6 +16,9 @@ from localisation.slam import planar
 
 __all__ = ["LocalMap"]
 
+# Hits of a cell that an old submap hands on: as many hold against the passes of some dozens of scans.
+_MOST_HITS = 4
+
 
 class LocalMap:
     """A builder of the levels that scans are searched on, made anew where its submaps have moved.
@@ -61,7 +64,7 @@ class LocalMap:
 
     def add(self, node: int, pose: FloatArray, points: FloatArray, weights: IntArray) -> None:
         """Add what was seen from a node on: points (P, n) in its frame, and how often each counts."""
-        repeated = np.repeat(points, weights, axis=0)
+        repeated = np.repeat(points, np.minimum(weights, _MOST_HITS), axis=0)
         for level in range(self._settings.search_level + 1):
             counter = self.builder.counter(level)
             counter.add(counter.lattice.quantise(repeated))

@@ -112,10 +112,11 @@ class LoopCloser:
 
     def __init__(self, graph: PoseGraph, submaps: list[Submap], cells: SubmapCells, settings: LoopSettings) -> None:
         """Take the graph and the submaps, which grow, and what makes their cells."""
-        from scipy.stats import chi2
+        from scipy.special import gammaincinv
 
         self._graph, self._submaps, self._cells, self.settings = graph, submaps, cells, settings
-        self.limit = float(chi2.ppf(settings.probability, 3))
+        # Of chi-squared with three degrees of freedom.
+        self.limit = 2.0 * float(gammaincinv(1.5, settings.probability))
         self.records: list[LoopRecord] = []
         self._waiting: list[int] = []
         self._tried: dict[tuple[int, int], float] = {}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
@@ -53,8 +51,3 @@ def adjoint(a: FloatArray) -> FloatArray:
     out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = c, -s, s, c
     out[..., 0, 2], out[..., 1, 2], out[..., 2, 2] = a[..., 1], -a[..., 0], 1.0
     return out
-
-
-def lever(row: FloatArray, reach: float) -> float:
-    """Return by how many metres a small motion (3,) moves a point ``reach`` metres away at most."""
-    return math.hypot(float(row[0]), float(row[1])) + abs(float(row[2])) * reach

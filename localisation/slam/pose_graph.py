@@ -81,6 +81,7 @@ class PoseGraph:
         self._factors: list[Any] = []
         # Covariances as seen from the node that was asked last, as long as nothing changes them.
         self._known: dict[int, dict[int, FloatArray]] = {}
+        self._solver: tuple[int, Any] | None = None
 
     def __len__(self) -> int:
         """Return the number of nodes."""
@@ -88,7 +89,7 @@ class PoseGraph:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what gtsam made: it is made again."""
-        return {**self.__dict__, "_factors": [], "_known": {}}
+        return {**self.__dict__, "_factors": [], "_known": {}, "_solver": None}
 
     @property
     def poses(self) -> FloatArray:
@@ -102,6 +103,7 @@ class PoseGraph:
     def add_node(self, pose: FloatArray) -> int:
         """Add a node at a pose (3,); returns its number."""
         self._poses.append(np.asarray(pose, np.float64))
+        self._solver = None
         return len(self._poses) - 1
 
     def add_edge(self, edge: Edge) -> int:
@@ -109,6 +111,7 @@ class PoseGraph:
         # A node that hangs on one edge says nothing of those before it.
         if edge.loop:
             self._known = {}
+        self._solver = None
         self.edges.append(edge)
         self.weights.append(1.0)
         return len(self.edges) - 1
@@ -117,7 +120,7 @@ class PoseGraph:
         """Say anew how sure an edge is."""
         self.edges[number] = replace(self.edges[number], covariance=covariance)
         del self._factors[number:]
-        self._known = {}
+        self._known, self._solver = {}, None
 
     # ------------------------------------------------------------------ solving
 
@@ -181,7 +184,7 @@ class PoseGraph:
         return values
 
     def _take(self, values: Any) -> None:
-        self._known = {}
+        self._known, self._solver = {}, None
         # The first node's row is not touched: the frame of the map must not move by a rounding error.
         for k in range(1, len(self)):
             pose = values.atPose2(k)
@@ -217,18 +220,12 @@ class PoseGraph:
 
     def _solve(self, origin: int, others: Sequence[int]) -> FloatArray:
         """Return what :meth:`relative_covariances` does, of nodes that are not the one held."""
-        from scipy.sparse import csc_matrix
-        from scipy.sparse.linalg import splu
-
         out = np.zeros((len(others), 3, 3))
         wanted = list(enumerate(others))
-        n = len(self)
-        rows, columns, values = self._normal_equations()
-        kept = (rows // 3 != origin) & (columns // 3 != origin)
-        rows, columns = rows - 3 * (rows // 3 > origin), columns - 3 * (columns // 3 > origin)
-        size = 3 * (n - 1)
-        matrix = csc_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
-        solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
+        if self._solver is None or self._solver[0] != origin:
+            self._solver = (origin, self._factorise(origin))
+        solver = self._solver[1]
+        size = 3 * (len(self) - 1)
         for begin in range(0, len(wanted), 64):
             some = wanted[begin : begin + 64]
             at = np.array([3 * (node - (node > origin)) for _, node in some])
@@ -240,6 +237,18 @@ class PoseGraph:
                 block = solved[at[s] : at[s] + 3, 3 * s : 3 * s + 3]
                 out[m] = 0.5 * (block + block.T)
         return out
+
+    def _factorise(self, origin: int) -> Any:
+        """Return the factors of the normal equations with one node held."""
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        rows, columns, values = self._normal_equations()
+        kept = (rows // 3 != origin) & (columns // 3 != origin)
+        rows, columns = rows - 3 * (rows // 3 > origin), columns - 3 * (columns // 3 > origin)
+        size = 3 * (len(self) - 1)
+        matrix = csc_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
 
     def _normal_equations(self) -> tuple[IntArray, IntArray, FloatArray]:
         """Return rows, columns and values of the matrix of the normal equations at the poses as they are now."""

@@ -7,6 +7,7 @@ in the old ones. All poses are kept relative to nodes, so that whatever moves a 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +32,16 @@ __all__ = ["Slam", "SlamResult"]
 
 # In cells of the finest level: the local map is made anew where a submap in it has moved by more.
 _MOVED = 0.5
+# A scan goes into the local map where the robot has moved by so much since the last one that did: half of a searched
+# cell, and what turns new walls into view. A robot that stands adds the same cells again and again.
+_NEWS_METRES = 0.05
+_NEWS_RADIANS = math.radians(2.0)
 # Of nodes that follow one another, the covariance of every so many is looked at.
 _EVERY = 4
 # Variance of the edge between two nodes, in what the surface of scores says of one match.
 _CHAIN = 1.0
 # Points whose surface of scores is looked at.
-_CHAIN_POINTS = 200
+_CHAIN_POINTS = 150
 # Variance of the wheels' error over a stretch, in what it is on average: it is alike from one stretch to the next, and
 # so many along a corridor add up before the wheels turn or something is in view again.
 _WHEELS = 4.0
@@ -103,12 +108,15 @@ class Slam:
         self.fractions = 0.0
         self._stretches: list[Stretch] = []
         self._node_scans: list[int] = []
-        # One entry a reading: stamp, scan or not, node before it, pose seen from that, and way gone since it.
+        # One entry a reading: stamp, scan or not, node before it, pose seen from that, and way gone since it. Since the
+        # last node there are poses in the local map instead.
         self._stamps: list[float] = []
         self._is_scan: list[bool] = []
         self._entry_node: list[int] = []
         self._entry_pose: list[FloatArray] = []
         self._entry_way: list[float] = []
+        self._settled = 0
+        self._fused: Pose | None = None
         self._scan_entry: list[int] = []
         self._ways: list[float] = []
         self._chain: list[int] = []
@@ -139,7 +147,9 @@ class Slam:
             TooLargeError: it sees so far that there are too many angles or cells; the same.
         """
         registered = self._odometry.register(scan)
-        self._local.fuse(scan, registered.T_map_scan)
+        if self._is_news(registered.T_map_robot):
+            self._local.fuse(scan, registered.T_map_scan)
+            self._fused = registered.T_map_robot
         self._take_readings(registered.readings)
         if registered.match is not None:
             self.matched += 1
@@ -148,23 +158,31 @@ class Slam:
             self.unmatched += 1
         number = len(self.scans)
         self.scans.append(compact(scan, no_return=self.settings.clear_no_return > 0.0))
-        pose = self._local.in_map(planar.of_pose(registered.T_map_robot))
+        local = planar.of_pose(registered.T_map_robot)
+        pose = self._local.in_map(local)
         self._walk(self._local.in_map(planar.of_pose(registered.predicted or registered.T_map_robot)), pose)
         if number == 0:
-            # Readings before the first scan are seen from it as well.
-            self._entry_pose = [planar.between(pose, before) for before in self._entry_pose]
             self.graph.add_node(pose)
             self._node_scans.append(0)
         elif self._is_due(number):
             self._new_node(number, pose, registered.match)
         self._scan_entry.append(len(self._stamps))
-        self._enter(scan.stamp, True, pose if number == 0 else planar.of_pose(self._now(pose)))
+        self._enter(scan.stamp, True, local if number == 0 or not self._is_node(number) else self._local_node())
         return registered
 
-    def _now(self, pose: FloatArray) -> Pose:
-        """Return where the scan that has just come is: at its node, which loops may have moved, or where it was."""
-        at_node = self._node_scans[-1] == len(self.scans) - 1
-        return planar.to_pose(self.graph.pose(len(self.graph) - 1) if at_node else pose)
+    def _is_news(self, T_local_robot: Pose) -> bool:
+        """Tell whether a scan sees anything that the last one in the local map did not, but for who walks by."""
+        if self._fused is None:
+            return True
+        moved = self._fused.inverse() @ T_local_robot
+        return math.hypot(moved.x, moved.y) > _NEWS_METRES or moved.angle > _NEWS_RADIANS
+
+    def _is_node(self, number: int) -> bool:
+        return self._node_scans[-1] == number
+
+    def _local_node(self) -> FloatArray:
+        """Return where the last node lies in the local map."""
+        return self._local.in_local(self.graph.pose(len(self.graph) - 1))
 
     def _walk(self, predicted: FloatArray, pose: FloatArray) -> None:
         if self._last is not None:
@@ -181,19 +199,28 @@ class Slam:
 
     def _take_readings(self, readings: tuple[tuple[float, Pose], ...]) -> None:
         for stamp, pose in readings:
-            self._enter(stamp, False, self._local.in_map(planar.of_pose(pose)))
+            self._enter(stamp, False, planar.of_pose(pose))
 
-    def _enter(self, stamp: float, is_scan: bool, pose: FloatArray) -> None:
+    def _enter(self, stamp: float, is_scan: bool, local: FloatArray) -> None:
+        """Take the pose (3,) of the next reading in the local map."""
         self._stamps.append(stamp)
         self._is_scan.append(is_scan)
         self._entry_node.append(max(0, len(self.graph) - 1))
-        self._entry_pose.append(planar.between(self.graph.pose(len(self.graph) - 1), pose) if len(self.graph) else pose)
+        self._entry_pose.append(local)
         self._entry_way.append(self._metres + self._radians)
+
+    def _settle(self) -> None:
+        """Turn the poses since the last node, which are in the local map, into what they are as seen from that."""
+        since = np.array(self._entry_pose[self._settled :]).reshape(-1, 3)
+        node = np.broadcast_to(self._local_node(), since.shape)
+        self._entry_pose[self._settled :] = list(planar.between(node, since))
+        self._settled = len(self._entry_pose)
 
     # ------------------------------------------------------------------ node by node
 
     def _new_node(self, number: int, pose: FloatArray, match: Match | None) -> None:
         """Make a node of a scan: finish the stretch before it and the submap before that, look for loops."""
+        self._settle()
         before = len(self.graph) - 1
         motion = planar.between(self.graph.pose(before), pose)
         first = self._node_scans[-1]
@@ -291,7 +318,7 @@ class Slam:
         members = self._local.members
         limit = _MOVED * self._local.finest.resolution
         gone = any(k in near and k not in wanted for k in members)
-        moved = any(k in members and self._has_moved(k, limit) for k in wanted)
+        moved = self._have_moved([k for k in wanted if k in members], limit)
         if gone or moved or len(members) > 2 * self.loops.most_local:
             self._renew(wanted)
             return
@@ -299,10 +326,16 @@ class Slam:
             if k not in members:
                 self._add_to_local(k)
 
-    def _has_moved(self, k: int, limit: float) -> bool:
+    def _have_moved(self, nodes: list[int], limit: float) -> bool:
         """Tell whether a stretch in the local map lies elsewhere than where it was put."""
-        moved = planar.between(self._local.members[k], self._local.in_local(self.graph.pose(k)))
-        return planar.lever(moved, 0.5 * self.submaps[k].reach) > limit
+        if not nodes:
+            return False
+        put = np.array([self._local.members[k] for k in nodes])
+        now = planar.between(np.broadcast_to(self._local.T_map_local, put.shape), self.graph.poses[nodes])
+        off = planar.between(put, now)
+        reach = np.array([self.submaps[k].reach for k in nodes])
+        # As far as a point halfway out moves.
+        return bool((np.hypot(off[:, 0], off[:, 1]) + 0.5 * reach * np.abs(off[:, 2]) > limit).any())
 
     def _trusted(self, last: int) -> tuple[list[int], set[int]]:
         """Return the nodes near the last one whose place is known well enough to match scans against, and all near."""
@@ -348,6 +381,7 @@ class Slam:
                 self._add_to_local(k)
         self._odometry.match_against(self._local.builder)
         self._odometry.move_to(planar.to_pose(self.graph.pose(last)))
+        self._fused = None
 
     def _add_to_local(self, k: int) -> None:
         stretch, pose = self._stretches[k], self._local.in_local(self.graph.pose(k))
@@ -359,6 +393,8 @@ class Slam:
     def finish(self) -> SlamResult:
         """Close what loops are left, and return all poses."""
         self._take_readings(self._odometry.finish())
+        if len(self.graph):
+            self._settle()
         self.closer.finish()
         if len(self.graph) > 1:
             self.closer.throw_out(self.graph.optimise_robustly(self.loops.probability))
