@@ -45,9 +45,9 @@ _LANE = 257
 # How many nodes of each level, the lowest first, the first quick look keeps.
 _WIDTHS = (64, 128, 256, 256, 256, 256, 256, 256, 256, 256)
 # Slots for cells of rotations, and bytes that they may take.
-_SLOTS = 8192
-_EXACT_SLOTS = 1024
-_SLOT_BYTES = 96 << 20
+_SLOTS = 2048
+_EXACT_SLOTS = 256
+_SLOT_BYTES = 32 << 20
 
 
 class Found(NamedTuple):
