@@ -54,10 +54,10 @@ class LocaliserSettings:
     apart: tuple[float, float] = (0.5, math.radians(10.0))
     odds: float = 1000.0
     scans: int = 3
-    step_metres: float = 0.2
-    step_radians: float = math.radians(10.0)
+    step_metres: float = 0.5
+    step_radians: float = math.radians(30.0)
     explained: float = 0.5
-    contradicted: float = 0.05
+    contradicted: float = 0.15
     changed: float = 0.25
     sigmas: float = 2.33
     patience: int = 5
