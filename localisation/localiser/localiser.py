@@ -41,6 +41,8 @@ _FARTHEST_JUMP = 100.0
 _WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
 _HOPELESS = 10.0
+# A search that found too many places is repeated after up to 2^3 steps.
+_MOST_DOUBLINGS = 3
 # One scan in e^3 = 20 shows what the map knows nothing of, people or an open door: no scan speaks louder than that
 # against a place, so that several must, at several spots, before it is out (p_rand of Thrun, Burgard and Fox,
 # "Probabilistic Robotics", 6.3).
@@ -140,6 +142,8 @@ class Localiser:
         self._reading: Pose | None = None
         # What the robot moved since the last search that found nothing: from one place it would find nothing again.
         self._waited = self._turned = math.inf
+        # Searches in a row that found more places than are carried on.
+        self._fruitless = 0
         if start is not None:
             sensor = start @ self.mount
             self._places = [_Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
@@ -254,9 +258,13 @@ class Localiser:
             if self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s)):
                 place.motion = before.inverse() @ place.pose
                 kept.append(place)
-        if kept and moved and not (self._complete and any(self._agrees(place) for place in kept)):
+        waiting = self.settings.step_metres * 2.0**self._fruitless
+        if kept and moved and self._waited >= waiting and not (self._complete and any(map(self._agrees, kept))):
             # There were more places than are carried on, or none agrees: those that fit this scan get their chance.
+            # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last.
+            self._waited = 0.0
             found = self._newcomers(points, max(place.settled for place in kept))
+            self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
             kept += [new for new in found if not any(is_same_place(new.pose, old.pose, s.apart) for old in kept)]
         self._places = kept
         self._settle_on(points)
