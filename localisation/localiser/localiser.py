@@ -127,7 +127,9 @@ class Localiser:
         """Prepare the matcher."""
         states = world.state(rule, level) if isinstance(world, Map) else world
         self.settings = settings or LocaliserSettings()
-        self.matcher = GlobalMatcher(OccupancyPyramid(coincidence(states.occupied)), states.free if len(states.free) else None)
+        self.matcher = GlobalMatcher(
+            OccupancyPyramid(coincidence(states.occupied)), states.free if len(states.free) else None
+        )
         self.dim = states.occupied.lattice.dim
         self.mount = mount or Pose.identity(self.dim)
         if self.mount.dim != self.dim or (start is not None and start.dim != self.dim):
@@ -276,7 +278,7 @@ class Localiser:
 
         def accept(pose: Pose) -> bool:
             share = contradicted_share(self.matcher.pyramid, points, pose)
-            return fits([Evidence(beams, 1.0, share)], s, tracked=True)
+            return fits([Evidence(beams, 1.0, share)], s)
 
         # Scans below the usual share are not worth the search, which is long where nothing fits: the next will do.
         found = find_hypotheses(
@@ -289,7 +291,7 @@ class Localiser:
         for candidate in found.candidates:
             place = _Place(candidate.pose, Pose.identity(self.dim), Pose.identity(self.dim), settled)
             self._judge(place, points, self._match_near(points, candidate.pose), True)
-            if self._agrees(place, loosely=True):
+            if self._agrees(place):
                 places.append(place)
         return places
 
@@ -437,4 +439,3 @@ def _evidence(points: FloatArray, match: Match | None) -> Evidence:
     if match is None:
         return Evidence.of(len(points), 0.0, 0.0)
     return Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
-

@@ -14,8 +14,10 @@ __all__ = ["LocaliserSettings"]
 class LocaliserSettings:
     """Settings of a localiser; the defaults serve every map and log we know.
 
-    The thresholds are shares that a binomial variable of so many independent beams a scan would hardly miss, not
-    numbers that were fitted to a log.
+    ``explained`` says that more of a scan is in the map than not. ``changed`` follows from it: of the other half of the
+    beams as many end beyond a wall as short of one. ``contradicted`` is measured at the reference poses of scans that
+    took no part in the map, beams beyond walls: median 4 % in Belgioioso, 6 % in the ACES building, 13 % in Wean Hall,
+    whose walls are drawn half a metre thick; a threshold of 5 % gave Wean Hall's own logs no pose at all.
 
     Attributes:
         min_range: points nearer than this, metres, are left out.

@@ -217,9 +217,9 @@ def test_twin_corridors_stay_two_hypotheses_with_their_scores() -> None:
 
 
 def floors() -> tuple[list[SimulatedEvent], list[SimulatedEvent], list[SimulatedEvent]]:
-    """A drive on the lower floor, another one there, and one on the upper floor, drawn 30 m beside it."""
+    """A drive on the lower floor, another one there, and one on the upper floor, drawn 40 m beside it."""
     castle = make_building("castle")
-    up = Building("upper floor", castle.walls + [40.0, 0.0], castle.waypoints + [40.0, 0.0])
+    up = Building("upper floor", castle.walls + np.array([40.0, 0.0]), castle.waypoints + np.array([40.0, 0.0]))
     return drive(make_building("room"), 1), drive(make_building("room"), 2)[60:90], drive(up, 3, duration=16.0)
 
 
