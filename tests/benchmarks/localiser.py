@@ -346,9 +346,7 @@ def _strangers(cache: Path, sizes: Sizes) -> None:
             rows.append([name, log, len(chosen), count, ambiguous, time.process_time() - begin])
             total, answered = total + len(chosen), answered + count
     rows.append(["all", "", total, answered, "", ""])
-    print(
-        "consecutive scans of other buildings; nodes of a search at most 1,000,000; doubtful: places fit, none answered\n"
-    )
+    print("consecutive scans of other buildings; nodes of a search at most 1,000,000; doubtful: none answered\n")
     table(rows)
 
 
