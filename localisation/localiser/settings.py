@@ -17,7 +17,7 @@ class LocaliserSettings:
     ``explained`` says that more of a scan is in the map than not. ``changed`` follows from it: of the other half of the
     beams as many end beyond a wall as short of one. ``contradicted`` is measured at the reference poses of scans that
     took no part in the map, beams beyond walls: median 4 % in Belgioioso, 6 % in the ACES building, 13 % in Wean Hall,
-    whose walls are drawn half a metre thick; a threshold of 5 % gave Wean Hall's own logs no pose at all.
+    whose walls are drawn half a metre thick.
 
     Attributes:
         min_range: points nearer than this, metres, are left out.
@@ -31,7 +31,7 @@ class LocaliserSettings:
         part: share of the best score down to which a pose is worth carrying on.
         apart: metres and radians within which two poses are the same.
         odds: how many times as likely as the next one a pose must be to be answered.
-        scans: scans that must agree with a pose before it is answered.
+        scans: scans, each new evidence, that must agree with a pose before it is answered.
         step_metres: what the robot must have moved before a scan is new evidence; from one place all scans are alike.
         step_radians: the same for a turn.
         explained: share of the points that meet the map in a building that has not changed too much.
