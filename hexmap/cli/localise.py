@@ -57,12 +57,13 @@ def localise(
 
     Poses are written for the scans at which one place stands out; until then, and where the robot is lost, none.
     """
+    from hexmap.base.errors import ArgumentError
     from hexmap.drawing.map_drawing import check_picture
     from hexmap.io.logs.log import LogSettings
     from hexmap.io.logs.open_log import open_log
-    from hexmap.poses.pose import Pose
     from localisation.localiser.settings import LocaliserSettings
 
+    _check_numbers({"--start": start, "--mount": mount, "--resolution": resolution, "--level": level})
     check_outputs({"--output": output, "--csv": csv, "--picture": picture}, (*inputs_of(map), log))
     if picture is not None:
         check_picture(picture)
@@ -74,7 +75,6 @@ def localise(
         "min_range": min_range,
         "use_odometry": odometry,
     }
-    settings = LocaliserSettings(**{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
     read = {
         "angle_min": None if angle_min is None else math.radians(angle_min),
         "angle_step": None if angle_step is None else math.radians(angle_step),
@@ -83,14 +83,39 @@ def localise(
         "scan_topic": scan_topic,
         "odometry_topic": odometry_topic,
     }
-    source = open_log(log, LogSettings(**{k: v for k, v in read.items() if v is not None}))  # type: ignore[arg-type]
+    try:
+        settings = LocaliserSettings(**{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
+        reading = LogSettings(**{k: v for k, v in read.items() if v is not None})  # type: ignore[arg-type]
+    except ArgumentError as error:
+        raise typer.BadParameter(str(error)) from error
+    source = open_log(log, reading)
     states = _states(map, level, lattice, resolution, min_hits, min_ratio)
     first_run_note()
-    placing = {
-        name: None if p is None else Pose.planar(p[0], p[1], math.radians(p[2]))
-        for name, p in (("mount", mount), ("start", start))
-    }
+    placing = {"mount": _pose(mount), "start": _pose(start)}
     _localise(source, map, states, settings, placing, output, csv, picture)
+
+
+def _check_numbers(options: dict[str, Any]) -> None:
+    """Check numbers that no settings check.
+
+    Raises:
+        BadParameter: naming the option and what is wrong with it.
+    """
+    for name in ("--start", "--mount"):
+        if options[name] is not None and not all(math.isfinite(v) for v in options[name]):
+            raise typer.BadParameter(f"{name} takes finite numbers, not {' '.join(f'{v:g}' for v in options[name])}")
+    metres, level = options["--resolution"], options["--level"]
+    if metres is not None and not 0.0 < metres < math.inf:
+        raise typer.BadParameter(f"--resolution is a positive number of metres, not {metres:g}")
+    if level is not None and level < 0:
+        raise typer.BadParameter(f"--level is zero or more, not {level}")
+
+
+def _pose(numbers: tuple[float, float, float] | None) -> Any:
+    """Return the pose of x, y in metres and a heading in degrees."""
+    from hexmap.poses.pose import Pose
+
+    return None if numbers is None else Pose.planar(numbers[0], numbers[1], math.radians(numbers[2]))
 
 
 def _states(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.information import TEMPERATURE
 
-__all__ = ["Evidence", "fits", "least_overlap"]
+__all__ = ["Evidence", "fits", "least_overlap", "meets"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,9 @@ def least_overlap(beams: float, settings: LocaliserSettings) -> float:
 def fits(scans: Iterable[Evidence], settings: LocaliserSettings, *, tracked: bool = False) -> bool:
     """Tell whether scans, taken together, agree with the map; no beam at all contradicts nothing.
 
-    A pose that is ``tracked`` has its history to speak for it, and beams go through the old places of moved walls.
+    Of the points enough must meet the map, of the beams not too many end beyond its walls, and the one less the other
+    must not fall short either: a place in another building may well reach both limits at once. A pose that is
+    ``tracked`` has its history to speak for it, and beams go through the old places of moved walls.
     """
     scans = list(scans)
     n = sum(s.beams for s in scans)
@@ -48,6 +50,15 @@ def fits(scans: Iterable[Evidence], settings: LocaliserSettings, *, tracked: boo
         return True
     overlap = sum(s.beams * s.overlap for s in scans) / n
     contradicted = sum(s.beams * s.contradicted for s in scans) / n
-    q = settings.changed if tracked else settings.contradicted
+    p, q = settings.explained, settings.changed if tracked else settings.contradicted
     most = q + settings.sigmas * math.sqrt(q * (1.0 - q) / n)
-    return overlap >= least_overlap(n, settings) and contradicted <= most
+    # One beam counts 1, 0 or -1, with probabilities p, 1 - p - q and q.
+    least = p - q - settings.sigmas * math.sqrt((p + q - (p - q) ** 2) / n)
+    return overlap >= least_overlap(n, settings) and contradicted <= most and overlap - contradicted >= least
+
+
+def meets(scans: Iterable[Evidence], settings: LocaliserSettings) -> bool:
+    """Tell whether the points of scans, taken together, meet the map; no point at all misses nothing."""
+    scans = list(scans)
+    n = sum(s.beams for s in scans)
+    return n == 0.0 or sum(s.beams * s.overlap for s in scans) / n >= least_overlap(n, settings)

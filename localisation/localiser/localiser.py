@@ -21,7 +21,7 @@ from hexmap.maps.state_rule import StateRule, States
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
-from localisation.localiser.evidence import Evidence, fits
+from localisation.localiser.evidence import Evidence, fits, meets
 from localisation.localiser.fusion import carry_on, fuse, move_point
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
@@ -41,6 +41,12 @@ _FARTHEST_JUMP = 100.0
 _WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
 _HOPELESS = 10.0
+# A search that found too many places is repeated after up to 2^3 steps.
+_MOST_DOUBLINGS = 3
+# One scan in e^3 = 20 shows what the map knows nothing of, people or an open door: no scan speaks louder than that
+# against a place, so that several must, at several spots, before it is out (p_rand of Thrun, Burgard and Fox,
+# "Probabilistic Robotics", 6.3).
+_LOUDEST = 3.0
 
 
 @dataclass(eq=False)
@@ -52,18 +58,21 @@ class _Place:
         motion: of the sensor between the last two scans.
         settled: log-likelihood of the scans that were new evidence, relative to other places.
         latest: of the last scan, which the next one replaces if the robot has not moved.
-        since: T_map_sensor where ``settled`` last grew.
-        judged: what the scans said of this place.
+        way: motion of the sensor since ``settled`` last grew, as predicted: matches jump about in a corridor.
+        judged: what the scans said of this place, one for each that was new evidence.
         match: of the last scan, if anything coincided.
+        tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
+            answered again it must fit as well as any other.
     """
 
     pose: Pose
-    since: Pose
+    way: Pose
     motion: Pose
     settled: float = 0.0
     latest: float = 0.0
     judged: list[Evidence] = field(default_factory=list)
     match: Match | None = None
+    tracked: bool = False
 
     @property
     def likelihood(self) -> float:
@@ -118,7 +127,9 @@ class Localiser:
         """Prepare the matcher."""
         states = world.state(rule, level) if isinstance(world, Map) else world
         self.settings = settings or LocaliserSettings()
-        self.matcher = GlobalMatcher(OccupancyPyramid(coincidence(states.occupied)), states.occupied.merge(states.free))
+        self.matcher = GlobalMatcher(
+            OccupancyPyramid(coincidence(states.occupied)), states.free if len(states.free) else None
+        )
         self.dim = states.occupied.lattice.dim
         self.mount = mount or Pose.identity(self.dim)
         if self.mount.dim != self.dim or (start is not None and start.dim != self.dim):
@@ -133,9 +144,11 @@ class Localiser:
         self._reading: Pose | None = None
         # What the robot moved since the last search that found nothing: from one place it would find nothing again.
         self._waited = self._turned = math.inf
+        # Searches in a row that found more places than are carried on.
+        self._fruitless = 0
         if start is not None:
             sensor = start @ self.mount
-            self._places = [_Place(sensor, sensor, Pose.identity(self.dim))]
+            self._places = [_Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
             self._track_from(self._start_covariance())
 
     def add(self, event: Event) -> Estimate | None:
@@ -159,11 +172,12 @@ class Localiser:
         else:
             self._waited += float(np.linalg.norm(motion.translation))
             self._turned += motion.angle
-        if self.state is TrackState.tracking:
+        before = self.state
+        if before is TrackState.tracking:
             self._track(points, motion)
-        elif self.state is TrackState.ambiguous:
+        elif before is TrackState.ambiguous:
             self._compare(points, motion)
-        if self.state is TrackState.lost:
+        if self.state is TrackState.lost and before is not TrackState.tracking:
             self._search(points)
         return self._estimate(event)
 
@@ -206,6 +220,21 @@ class Localiser:
         self._places = self._newcomers(points, 0.0)
         self._settle_on(points)
 
+    def _doubt(self, place: _Place, points: FloatArray) -> None:
+        """Give up a pose that was tracked: it becomes one of the places that compete, if its points meet the map.
+
+        Doors open and walls move, and the true place, thrown away for that, would leave a wrong one without a rival.
+        """
+        place.judged = [evidence for evidence, _ in self._recent]
+        self._places = self._newcomers(points, 0.0)
+        if meets(self._last_of(place), self.settings):
+            apart = self.settings.apart
+            place.settled = place.latest = 0.0
+            place.way = Pose.identity(self.dim)
+            self._places = [p for p in self._places if not is_same_place(p.pose, place.pose, apart)] + [place]
+        self._waited = self._turned = 0.0
+        self._settle_on(points)
+
     # ------------------------------------------------------------------ ambiguous
 
     def _compare(self, points: FloatArray, motion: Pose | None) -> None:
@@ -218,19 +247,26 @@ class Localiser:
         kept: list[_Place] = []
         moved = False
         for place in self._places:
-            predicted = place.pose @ (motion or place.motion)
-            if _moved(place.since, predicted, s.step_metres, s.step_radians):
+            step = motion or place.motion
+            place.way = place.way @ step
+            fresh = float(np.linalg.norm(place.way.translation)) > s.step_metres or place.way.angle > s.step_radians
+            if fresh:
                 place.settled += place.latest
-                place.since = predicted
+                place.way = Pose.identity(self.dim)
                 moved = True
             before = place.pose
-            place.pose = predicted
-            if self._judge(place, points, self._match_near(points, predicted)):
+            place.pose = predicted = before @ step
+            self._judge(place, points, self._match_near(points, predicted), fresh)
+            if self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s)):
                 place.motion = before.inverse() @ place.pose
                 kept.append(place)
-        if kept and moved and not self._complete:
-            # There were more places than are carried on: those that fit this scan too get their chance.
+        waiting = self.settings.step_metres * 2.0**self._fruitless
+        if kept and moved and self._waited >= waiting and not (self._complete and any(map(self._agrees, kept))):
+            # There were more places than are carried on, or none agrees: those that fit this scan get their chance.
+            # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last.
+            self._waited = 0.0
             found = self._newcomers(points, max(place.settled for place in kept))
+            self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
             kept += [new for new in found if not any(is_same_place(new.pose, old.pose, s.apart) for old in kept)]
         self._places = kept
         self._settle_on(points)
@@ -253,31 +289,44 @@ class Localiser:
         self._complete = found.complete or not found.candidates
         places = []
         for candidate in found.candidates:
-            place = _Place(candidate.pose, candidate.pose, Pose.identity(self.dim), settled)
-            if self._judge(place, points, self._match_near(points, candidate.pose)):
+            place = _Place(candidate.pose, Pose.identity(self.dim), Pose.identity(self.dim), settled)
+            self._judge(place, points, self._match_near(points, candidate.pose), True)
+            if self._agrees(place):
                 places.append(place)
         return places
 
-    def _judge(self, place: _Place, points: FloatArray, match: Match | None) -> bool:
-        """Take a match into account at a place; tell whether the scans still agree with the map there."""
+    def _judge(self, place: _Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
+        """Take a match into account at a place.
+
+        Scans from one spot are all alike: one that is not ``fresh`` replaces the one before it.
+        """
         place.match = match
         if match is not None:
             place.pose = match.pose
+        if not fresh and place.judged:
+            place.judged.pop()
         place.judged.append(_evidence(points, match))
-        return fits(place.judged[-self.settings.patience :], self.settings)
+
+    def _last_of(self, place: _Place) -> list[Evidence]:
+        return place.judged[-self.settings.patience :]
+
+    def _agrees(self, place: _Place, *, loosely: bool = False) -> bool:
+        """Tell whether the last scans agree with the map at a place, or agree well enough not to drop it."""
+        return fits(self._last_of(place), self.settings, tracked=loosely)
 
     def _weigh(self, points: FloatArray) -> None:
         """Compare the places by the last scan.
 
         The share of points that meet the map scatters by chance and with the cells they happen to fall into: what is
-        within one standard deviation of the best tells nothing, or such chances would add up to certainty.
+        within one standard deviation of the best tells nothing, or such chances would add up to certainty. Beams beyond
+        walls rule places out, and do not weigh: at the true place too they are as many as doors have been opened.
         """
         shares = [0.0 if place.match is None else place.match.fraction for place in self._places]
         best = max(shares, default=0.0)
         share_of_beam = max(TEMPERATURE, 1.0 / len(points))
         chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
         for place, share in zip(self._places, shares, strict=True):
-            place.latest = min(0.0, share - best + chance) / share_of_beam
+            place.latest = max(-_LOUDEST, min(0.0, share - best + chance) / share_of_beam)
 
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
@@ -288,8 +337,11 @@ class Localiser:
         for place in (self._places[k] for k in order):
             if kept and kept[0].likelihood - place.likelihood > _HOPELESS:
                 break
-            if not any(is_same_place(place.pose, other.pose, s.apart) for other in kept):
+            same = next((other for other in kept if is_same_place(place.pose, other.pose, s.apart)), None)
+            if same is None:
                 kept.append(place)
+            else:
+                same.tracked |= place.tracked
         # The oldest history is what speaks for a place: newcomers do not crowd it out.
         self._places = kept[: 2 * s.hypotheses]
         if not kept:
@@ -298,7 +350,9 @@ class Localiser:
         self.state = TrackState.ambiguous
         best = kept[0]
         alone = len(kept) == 1 or best.likelihood - kept[1].likelihood >= math.log(s.odds)
-        if alone and self._complete and len(best.judged) >= s.scans and best.match is not None:
+        known = best.tracked or len(best.judged) >= s.scans
+        if alone and known and self._complete and best.match is not None and self._agrees(best):
+            best.tracked = True
             self._places = [best]
             self._track_from(self._match_covariance(points, best.match))
 
@@ -342,12 +396,11 @@ class Localiser:
                 P = P + self._start_covariance() * _WIDENED**2
         self._recent.append((evidence, agrees))
         place.match = match
-        # One scan that disagrees is left out; two, with those before them, are believed.
-        twice = len(self._recent) > 1 and not agrees and not self._recent[-2][1]
-        if twice and not fits([e for e, _ in self._recent], s, tracked=True):
+        # One scan that disagrees is left out, and says little beside those before it; many that half agree add up.
+        if len(self._recent) > 1 and not fits([e for e, _ in self._recent], s, tracked=True):
             self.times_lost += 1
             self.state = TrackState.lost
-            self._waited = math.inf
+            self._doubt(place, points)
             return
         if match is not None and agrees:
             place.pose, self._covariance = fuse(predicted, P, match.pose, self._match_covariance(points, match))
@@ -386,7 +439,3 @@ def _evidence(points: FloatArray, match: Match | None) -> Evidence:
     if match is None:
         return Evidence.of(len(points), 0.0, 0.0)
     return Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
-
-
-def _moved(a: Pose, b: Pose, metres: float, radians: float) -> bool:
-    return math.dist(a.translation, b.translation) > metres or (a.inverse() @ b).angle > radians

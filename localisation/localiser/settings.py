@@ -14,8 +14,10 @@ __all__ = ["LocaliserSettings"]
 class LocaliserSettings:
     """Settings of a localiser; the defaults serve every map and log we know.
 
-    The thresholds are shares that a binomial variable of so many independent beams a scan would hardly miss, not
-    numbers that were fitted to a log.
+    ``explained`` says that more of a scan is in the map than not. ``changed`` follows from it: of the other half of the
+    beams as many end beyond a wall as short of one. ``contradicted`` is measured at the reference poses of scans that
+    took no part in the map, beams beyond walls: median 4 % in Belgioioso, 6 % in the ACES building, 13 % in Wean Hall,
+    whose walls are drawn half a metre thick.
 
     Attributes:
         min_range: points nearer than this, metres, are left out.
@@ -29,7 +31,7 @@ class LocaliserSettings:
         part: share of the best score down to which a pose is worth carrying on.
         apart: metres and radians within which two poses are the same.
         odds: how many times as likely as the next one a pose must be to be answered.
-        scans: scans that must agree with a pose before it is answered.
+        scans: scans, each new evidence, that must agree with a pose before it is answered.
         step_metres: what the robot must have moved before a scan is new evidence; from one place all scans are alike.
         step_radians: the same for a turn.
         explained: share of the points that meet the map in a building that has not changed too much.
@@ -54,10 +56,10 @@ class LocaliserSettings:
     apart: tuple[float, float] = (0.5, math.radians(10.0))
     odds: float = 1000.0
     scans: int = 3
-    step_metres: float = 0.2
-    step_radians: float = math.radians(10.0)
+    step_metres: float = 0.5
+    step_radians: float = math.radians(30.0)
     explained: float = 0.5
-    contradicted: float = 0.05
+    contradicted: float = 0.15
     changed: float = 0.25
     sigmas: float = 2.33
     patience: int = 5

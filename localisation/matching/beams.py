@@ -1,6 +1,7 @@
 """Beams that contradict a map: those that end beyond a wall.
 
 Where a scan is in the wrong place by chance its points may still fall onto walls, but its beams then go through others.
+A beam that enters a wall and ends inside it is not beyond it: walls of maps are as thick as their maker drew them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _CELLS = 2
 
 
 def contradicted_share(pyramid: OccupancyPyramid, points: FloatArray, pose: Pose) -> float:
-    """Return the share (0 to 1) of the beams that go through two or more occupied cells well before they end.
+    """Return the share (0 to 1) of the beams that go through two or more occupied cells and out again before they end.
 
     Args:
         pyramid: the map's occupied cells.
@@ -39,5 +40,9 @@ def contradicted_share(pyramid: OccupancyPyramid, points: FloatArray, pose: Pose
     ends = pose.apply(points[long] * (shorter[long] / ranges[long])[:, None])
     cells = traverse(lattice, np.broadcast_to(pose.translation, ends.shape), ends)
     met = pyramid.weights(cells.index) > 0
-    walls = np.add.reduceat(met.astype(np.int64), cells.offsets[:-1])
+    starts = cells.offsets[:-1]
+    # What counts is before the last cell that is not of a wall: beyond it the beam has not come out again.
+    last = np.maximum.reduceat(np.where(met, -1, np.arange(len(met))), starts)
+    before = np.concatenate([[0], np.cumsum(met)])
+    walls = before[np.maximum(last, starts)] - before[starts]
     return float((walls >= _CELLS).sum() / len(points))

@@ -31,6 +31,8 @@ __all__ = ["BranchAndBound", "Found", "SearchSpace"]
 _SLICE = 1 << 18
 # Look-ups and blocks that the level may cost which the search begins with: some milliseconds.
 _FIRST_ADDS = 1 << 27
+# The same for a level below it: some tenths of a second.
+_MOST_ADDS = 1 << 35
 _MOST_FIRST_BLOCKS = 1 << 23
 _MOST_BLOCKS = 1 << 26
 # A loop over a row of a sheet costs as much to begin as so many additions of bytes, and a look-up by itself as much
@@ -39,15 +41,15 @@ _ROW = 250
 _LOOK_UP = 200
 # Rows of bounds that are held at once.
 _BATCH_BLOCKS = 1 << 21
-_MOST_NODES = 1 << 20
+_MOST_NODES = 1 << 22
 # Lanes of 16 bits add up 257 times a byte.
 _LANE = 257
 # How many nodes of each level, the lowest first, the first quick look keeps.
 _WIDTHS = (64, 128, 256, 256, 256, 256, 256, 256, 256, 256)
 # Slots for cells of rotations, and bytes that they may take.
-_SLOTS = 8192
-_EXACT_SLOTS = 1024
-_SLOT_BYTES = 96 << 20
+_SLOTS = 2048
+_EXACT_SLOTS = 256
+_SLOT_BYTES = 32 << 20
 
 
 class Found(NamedTuple):
@@ -369,7 +371,11 @@ class BranchAndBound:
             if level == 1 or len(nodes.bound) > _MOST_NODES or time.monotonic() > end:
                 break
             cells, row, count = np.unique(self._number(level, nodes), return_inverse=True, return_counts=True)
-            many = count * _LOOK_UP > self._adds(level - 1)
+            adds = self._adds(level - 1)
+            many = count * _LOOK_UP > adds
+            below = self._rotation_count(level - 1) / self._rotation_count(level)
+            if int(many.sum()) * below * adds * len(self.points) > _MOST_ADDS:
+                break
             done.append(_taken(nodes, ~many[row]))
             nodes = self._next_level(region, level, _taken(nodes, many[row]), cells[many], floor)
             level -= 1
@@ -442,9 +448,14 @@ class BranchAndBound:
         return _Nodes(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
 
     def _adds(self, level: int) -> int:
-        """Return what it costs to bound all blocks of a level for a point, in additions of a byte."""
+        """Return what it costs to bound all blocks of a level for a point, about, in additions of a byte.
+
+        What a search does must not depend on the tables that scans before it have left: so it is reckoned as if rows
+        were as far apart as they are long.
+        """
         blocks = self.blocks << (self.top - level)
-        runs = _runs(blocks, self._sheet(level).strides)
+        strides = np.append(np.cumprod(2 * blocks[:0:-1])[::-1], 1)
+        runs = _runs(blocks, strides)
         return int((runs[:, 1] + _ROW).sum())
 
     def _children(self, level: int, cells: IntArray) -> tuple[IntArray, IntArray]:

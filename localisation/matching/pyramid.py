@@ -39,6 +39,9 @@ MOST_WEIGHT = 65535
 PARTS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """What the points of a scan move, as parts of what its median point does, for which there are boxes."""
 FARTHEST_PART = PARTS[-1]
+_LOWEST = 2
+# Sheets are made for reaches in whole steps of so many indices, so that scans share them.
+_MARGIN = 128
 
 
 class Tables(NamedTuple):
@@ -103,8 +106,12 @@ def cell_reach(lattice: Lattice) -> FloatArray:
 
 
 def level_windows(lattice: Lattice, level: int) -> tuple[int, ...]:
-    """Return the boxes of a level's tables: one for each of :data:`PARTS` of what the median point moves."""
-    return tuple((1 << level) - 1 + most_spread(lattice, level, part) for part in PARTS)
+    """Return the boxes of a level's tables: one for each of :data:`PARTS` of what the median point moves.
+
+    On the lowest levels, where tables are largest and points move by a cell or two, the smallest boxes are left out.
+    """
+    parts = [max(part, 1.0) if level <= _LOWEST else part for part in PARTS]
+    return tuple((1 << level) - 1 + most_spread(lattice, level, part) for part in parts)
 
 
 class OccupancyPyramid:
@@ -145,9 +152,12 @@ class OccupancyPyramid:
             levels = min(9, max(2, int(shape.max()).bit_length() - 3))
         self.levels = levels
         self._cell_grid = self._grid(1, 0, shape)
-        self._grids = [
-            self._grid(window, 1 << k, shape) for k in range(levels) for window in level_windows(self.lattice, k)
-        ]
+        # Equal boxes of a level share a table.
+        wanted = [(k, window) for k in range(levels) for window in level_windows(self.lattice, k)]
+        tables = list(dict.fromkeys(wanted))
+        self._table_of = [tables.index(table) for table in wanted]
+        self._grids = [self._grid(window, 1 << k, shape) for k, window in tables]
+        self._windows = np.array([window for _, window in wanted]).reshape(-1, len(PARTS))
         sizes = [self._size(grid) for grid in self._grids]
         if sum(sizes) >= _MOST_ENTRIES:
             raise TooLargeError(
@@ -205,10 +215,10 @@ class OccupancyPyramid:
                 self._reaching(grid, start, wanted, length)
                 for grid, start in zip([self._cell_grid, *self._grids], [0, *self._starts], strict=True)
             ]
-            windows = np.array([grid.window for grid in self._grids]).reshape(-1, len(PARTS))
+            address = np.stack([rows[1 + table] for table in self._table_of]).ravel()
             self._tables = {
                 wanted: Tables(
-                    self.cells, rows[0].ravel(), self.packed, np.stack(rows[1:]).ravel(), windows,
+                    self.cells, rows[0].ravel(), self.packed, address, self._windows,
                     self.low - wanted, length, self.unit, self.most,
                 )
             }  # fmt: skip
@@ -222,7 +232,7 @@ class OccupancyPyramid:
             reach: how many indices beyond the cells' box are looked up, and
             span: (n,) over how many at once along each axis: farther away all is zero.
         """
-        wanted = 1 << max(6, int(reach).bit_length())
+        wanted = -(-int(reach) // _MARGIN) * _MARGIN
         beyond = np.minimum(wanted, span)
         if level not in self._sheets or (self._sheets[level].beyond < beyond).any():
             weights = np.asarray(self._source.counts)

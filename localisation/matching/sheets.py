@@ -17,7 +17,7 @@ from hexmap.base.arrays import IntArray
 __all__ = ["Sheet", "make_sheet"]
 
 # Places that a block of a level has along an axis; tables of higher levels round places down to these.
-_MOST_PHASES = 16
+_MOST_PHASES = 8
 
 
 class Sheet(NamedTuple):

@@ -5,6 +5,7 @@ from tests.benchmarks import (
     canonical,
     experiments,
     localisation,
+    localiser,
     mapping,
     optimum,
     planning,
@@ -15,5 +16,5 @@ from tests.benchmarks import (
 voxels.main()
 mapping.main()
 experiments.main()
-for module in (planning, canonical, optimum, anyangle, replanning, localisation):
+for module in (planning, canonical, optimum, anyangle, replanning, localisation, localiser):
     module.main([])

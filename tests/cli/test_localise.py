@@ -80,6 +80,14 @@ def test_wrong_use_is_said_before_the_work(folder: Path, capsys: pytest.CaptureF
     assert "overwrite" in failure(capsys, 1, "localise", world, log, "-o", log)
     assert "--lattice" in failure(capsys, 1, "localise", world, log, "-o", poses, "--lattice", "Z2")
     assert "cannot draw" in failure(capsys, 1, "localise", world, log, "-o", poses, "--picture", folder / "a.gif")
-    assert "time limit" in failure(capsys, 1, "localise", world, log, "-o", poses, "--time-limit", "-1")
+    for option, *values, what in (
+        ("--time-limit", "-1", "time limit"), ("--time-limit", "nan", "time limit"),
+        ("--search-metres", "-1", "search"),
+        ("--search-degrees", "0", "search"), ("--max-range", "-3", "range"), ("--min-range", "inf", "min_range"),
+        ("--start", "1", "nan", "0", "--start"), ("--mount", "0", "inf", "0", "--mount"), ("--level", "-1", "--level"),
+        ("--resolution", "0", "--resolution"), ("--angle-step", "0", "angle_step"), ("--no-return", "-1", "no_return"),
+        ("--laser", "left", "laser"),
+    ):  # fmt: skip
+        assert what in failure(capsys, 2, "localise", world, log, "-o", poses, option, *values)
     assert "output" in failure(capsys, 2, "localise", world, log)
     assert not poses.exists()

@@ -1,0 +1,388 @@
+"""Figures of the localiser along logs: found without a start pose, kidnapped, and how often it is wrong (figure 5).
+
+``python -m tests.benchmarks.localiser [figure ...]``:
+
+- ``wean``: Wean Hall's own map and logs, from random instants without a start pose;
+- ``kidnap``: the robot put elsewhere at random instants of real logs;
+- ``risk``: errors among what is answered as the threshold of ambiguity moves, and answers in other buildings.
+
+Of Wean Hall there is no truth. Its reference is the track from the start, followed with limits that hardly ever give
+up; both drives come back to the door where they began, and so does the track. An answer agrees with it within 1 m.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import math
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hexmap.io.grids.open_grid import open_grid
+from hexmap.io.logs.log import Log
+from hexmap.io.logs.open_log import open_log
+from hexmap.io.trajectories import read_tum
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.builder import MapBuilder
+from hexmap.maps.map import Map
+from hexmap.maps.state_rule import States
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+from localisation.localiser.estimate import TrackState
+from localisation.localiser.localiser import Localiser
+from localisation.localiser.settings import LocaliserSettings
+from localisation.mapping.fuse_log import readings_at_poses
+from localisation.matching.global_matcher import GlobalMatcher
+from tests.benchmarks._common import data_folder, table, versions
+from tests.benchmarks.localisation import kept, look, own_trajectory, planar_world, share, warm_up
+
+# Where the logs of Wean Hall begin: a scan before the robot moves far, and T_map_robot there.
+_STARTS = {1: (30, Pose.planar(39.84, 41.28, -1.642)), 2: (10, Pose.planar(39.78, 41.36, -1.723))}
+# Metres within which an answer is right.
+_RIGHT = {"wean": 1.0, "intel": 0.5, "mit-csail": 0.5}
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is done: instants of each log, scans from each at the most, and of each other building."""
+
+    instants: int
+    length: int
+    foreign: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """A map, a log's scans in their order with the reference T_map_robot (None where unknown), and the mount."""
+
+    name: str
+    world: Map | States
+    scans: list[Scan]
+    poses: list[Pose | None]
+    mount: Pose | None = None
+
+    def localiser(self, settings: LocaliserSettings | None = None, start: Pose | None = None) -> Localiser:
+        """Return a localiser in this map."""
+        return Localiser(self.world, settings, mount=self.mount, start=start)
+
+    def is_right(self, pose: Pose, k: int) -> bool | None:
+        """Tell whether a pose of scan ``k`` agrees with the reference; None where there is none."""
+        true = self.poses[k]
+        return None if true is None else math.dist(pose.translation, true.translation) <= _RIGHT[self.name]
+
+
+def scans_of(log: Log) -> list[Scan]:
+    """Return the scans of a log that can be used."""
+    return [e for e in log if isinstance(e, Scan) and len(e.points) >= 20 and e.odometry is not None]
+
+
+def wean_run(cache: Path, number: int) -> Run:
+    """Return Wean Hall's map and one of its logs."""
+    folder = data_folder() / "laser2d" / "wean"
+    states = open_grid(folder / "wean.dat.gz").to_states(Lattice.named("A2", 0.1))
+    log = open_log(folder / f"robotdata{number}.log.gz")
+    mount, scans = log.mount, scans_of(log)
+
+    def reference() -> list[Pose | None]:
+        first, start = _STARTS[number]
+        localiser = Localiser(states, LocaliserSettings(explained=0.3, changed=0.6), mount=mount, start=start)
+        poses: list[Pose | None] = [None] * len(scans)
+        for k in range(first, len(scans)):
+            estimate = localiser.add(scans[k])
+            poses[k] = None if estimate is None else estimate.pose
+        return poses
+
+    return Run("wean", states, scans, kept(cache / f"wean{number}.pickle", reference), mount)
+
+
+def half_run(cache: Path, name: str) -> Run:
+    """Return a map of every second scan of a log, and the others as a run."""
+
+    def make() -> tuple[Map, list[Scan], list[Pose | None]]:
+        log = next((data_folder() / "laser2d").glob(f"{name}.clf.gz"))
+        poses = read_tum(own_trajectory(log, cache))
+        builder, scans, true = MapBuilder(Lattice.named("A2", 0.05), levels=1), [], []
+        readings = readings_at_poses(open_log(log), poses, associate="order")
+        for number, (event, pose) in enumerate((e, p) for e, p in readings if isinstance(e, Scan) and p is not None):
+            if number % 2:
+                scans.append(event)
+                true.append(pose)
+            else:
+                builder.fuse(event, pose)
+        return builder.build(), scans, true
+
+    return Run(name, *kept(cache / f"{name}-half.pickle", make))
+
+
+def _instants(run: Run, count: int, room: int, seed: int) -> list[int]:
+    """Return random instants with a reference and ``room`` scans after them, in their order."""
+    good = [k for k in range(len(run.scans) - room) if run.poses[k] is not None]
+    rng = np.random.default_rng(seed)
+    return sorted(int(k) for k in rng.choice(good, min(count, len(good)), replace=False))
+
+
+def _metres(scans: Sequence[Scan]) -> float:
+    at = [s.odometry.translation for s in scans if s.odometry is not None]
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(at))
+
+
+def _quantiles(values: Sequence[float]) -> str:
+    return f"{np.median(values):.1f} / {np.percentile(values, 90):.1f}" if len(values) else "-"
+
+
+# ---------------------------------------------------------------------- without a start pose
+
+
+@dataclass(frozen=True)
+class Found:
+    """What came of one instant: scans until the first answer (None: none), and of those placed the right and wrong."""
+
+    until: int | None
+    metres: float
+    seconds: float
+    first_right: bool
+    right: int
+    wrong: int
+    scans: int
+    overlap: float
+    lost: int
+
+
+def _from_instant(run: Run, first: int, length: int, settings: LocaliserSettings | None = None) -> Found:
+    localiser = run.localiser(settings)
+    until, verdicts, overlaps, seconds = None, [], [], 0.0
+    for k in range(first, min(first + length, len(run.scans))):
+        begin = time.process_time()
+        estimate = localiser.add(run.scans[k])
+        seconds += time.process_time() - begin if until is None else 0.0
+        if estimate is None or estimate.pose is None:
+            continue
+        until = k - first + 1 if until is None else until
+        overlaps.append(estimate.overlap)
+        verdicts.append(run.is_right(estimate.pose, k))
+    judged = [v for v in verdicts if v is not None]
+    return Found(
+        until, _metres(run.scans[first : first + (until or 0)]), seconds, bool(judged and judged[0]), sum(judged),
+        len(judged) - sum(judged), min(length, len(run.scans) - first), float(np.mean(overlaps or [0.0])),
+        localiser.times_lost,
+    )  # fmt: skip
+
+
+def wean(cache: Path, sizes: Sizes) -> None:
+    """Print how soon and how rightly the robot is found in Wean Hall."""
+    rows: list[list[object]] = [[
+        "Wean Hall", "instants", "localised", "m, median / 90 %", "s of the drive", "CPU s", "first answer right",
+        "scans placed", "right of placed", "points explained",
+    ]]  # fmt: skip
+    for number in (1, 2):
+        run = wean_run(cache, number)
+        found, seconds = [], []
+        for first in _instants(run, sizes.instants, 60, number):
+            f = _from_instant(run, first, sizes.length)
+            found.append(f)
+            if f.until is not None:
+                seconds.append(run.scans[first + f.until - 1].stamp - run.scans[first].stamp)
+        done = [f for f in found if f.until is not None]
+        placed, right = sum(f.right + f.wrong for f in done), sum(f.right for f in done)
+        rows.append([
+            f"log {number}", len(found), share([f.until is not None for f in found]),
+            _quantiles([f.metres for f in done]), _quantiles(seconds), _quantiles([f.seconds for f in found]),
+            f"{sum(f.first_right for f in done)} of {len(done)}",
+            f"{100.0 * placed / max(1, sum(f.scans for f in found)):.1f} %", f"{100.0 * right / max(1, placed):.1f} %",
+            float(np.mean([f.overlap for f in done] or [0.0])),
+        ])  # fmt: skip
+    print(
+        f"at most {sizes.length} scans from each instant; right: within {_RIGHT['wean']:g} m of the reference track\n"
+    )
+    table(rows)
+
+
+# ---------------------------------------------------------------------- kidnapped
+
+
+def kidnap(cache: Path, sizes: Sizes) -> None:
+    """Print how soon a jump to another place is noticed and mended."""
+    rows: list[list[object]] = [[
+        "log", "jumps", "noticed", "after scans, median / 90 %", "m", "recovered", "after scans", "m",
+        "wrong of placed after", "false alarms, of scans before",
+    ]]  # fmt: skip
+    for name, run in (
+        ("intel, every second scan", half_run(cache, "intel")), ("Wean Hall 1", wean_run(cache, 1)),
+        ("Wean Hall 2", wean_run(cache, 2)),
+    ):  # fmt: skip
+        before = 15
+        rng = np.random.default_rng(1)
+        starts = _instants(run, sizes.instants, before + 1, 1)
+        targets = [int(k) for k in rng.permutation(_instants(run, sizes.instants, sizes.length // 2, 2))]
+        trials = [
+            _jump(run, first, target, before, sizes.length)
+            for first, target in zip(starts, targets, strict=False)
+            if math.dist(_at(run, first + before).translation, _at(run, target).translation) > 2.0
+        ]
+        noticed, mended = [t for t in trials if t[0] is not None], [t for t in trials if t[1] is not None]
+        rows.append([
+            name, len(trials), share([t[0] is not None for t in trials]), _quantiles([t[0] or 0 for t in noticed]),
+            _quantiles([t[2] for t in noticed]), share([t[1] is not None for t in trials]),
+            _quantiles([t[1] or 0 for t in mended]), _quantiles([t[3] for t in mended]),
+            f"{sum(t[4] for t in trials)} of {sum(t[5] for t in trials)}",
+            f"{sum(t[6] for t in trials)} of {before * len(trials)}",
+        ])  # fmt: skip
+    print(f"at most {sizes.length} scans after the jump; the wheels do not notice it\n")
+    table(rows)
+
+
+def _at(run: Run, k: int) -> Pose:
+    """Return the reference of scan ``k`` or of the next that has one."""
+    return next(p for p in [*run.poses[k:], *reversed(run.poses[:k])] if p is not None)
+
+
+def _jump(
+    run: Run, first: int, target: int, before: int, length: int
+) -> tuple[int | None, int | None, float, float, int, int, int]:
+    """Return scans until noticed and until mended, metres of both, wrong and all answers after the first, alarms."""
+    localiser = run.localiser(start=_at(run, first))
+    for k in range(first, first + before):
+        localiser.add(run.scans[k])
+    alarms = localiser.times_lost
+    last, next_ = run.scans[first + before - 1].odometry, run.scans[target].odometry
+    assert last is not None and next_ is not None
+    shift = last @ next_.inverse()
+    noticed = mended = None
+    wrong = placed = 0
+    for k in range(target, min(target + length, len(run.scans))):
+        scan = run.scans[k]
+        assert scan.odometry is not None
+        estimate = localiser.add(replace(scan, odometry=shift @ scan.odometry))
+        assert estimate is not None
+        right = None if estimate.pose is None else run.is_right(estimate.pose, k)
+        if noticed is None and (estimate.state is not TrackState.tracking or right):
+            noticed = k - target + 1
+        if noticed is not None and right is not None:
+            placed += 1
+            wrong += not right
+        if mended is None and right:
+            mended = k - target + 1
+            break
+    ways = [_metres(run.scans[target : target + (count or 0)]) for count in (noticed, mended)]
+    return noticed, mended, ways[0], ways[1], wrong, placed, alarms
+
+
+# ---------------------------------------------------------------------- risk against coverage
+
+
+def risk(cache: Path, sizes: Sizes) -> None:
+    """Print errors among answered poses as thresholds move, and answers in other buildings."""
+    lattice = Lattice.named("A2", 0.05)
+    world = planar_world(cache, "intel", lattice)
+    matcher = GlobalMatcher.of_map(world.map)
+    warm_up(matcher, world.scans[0][0])
+    trials = [look(matcher, p, t, information=False, time_limit=4.0) for p, t in world.some(2 * sizes.instants)]
+    margins = np.array([t.match.margin if t.match else 0.0 for t in trials])
+    metres = np.array([t.metres for t in trials])
+    rows: list[list[object]] = [
+        ["margin at least", "scans of intel", "answered", "within 0.1 m", "within 0.5 m", "95 % m"]
+    ]
+    for margin in (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3):
+        chosen = metres[margins >= margin]
+        far = float(np.percentile(chosen, 95)) if len(chosen) else math.nan
+        rows.append([
+            margin, len(trials), share(margins >= margin), share(chosen <= 0.1), share(chosen <= 0.5), far,
+        ])  # fmt: skip
+    table(rows)
+    rows = [
+        ["odds at least", "log", "instants", "localised", "m, median / 90 %", "first answer wrong", "wrong of placed"]
+    ]
+    for odds in (10.0, 1000.0, 1e5):
+        for name, run in (("intel", half_run(cache, "intel")), ("Wean Hall 2", wean_run(cache, 2))):
+            settings = LocaliserSettings(odds=odds)
+            found = [
+                _from_instant(run, k, sizes.length // 2, settings)
+                for k in _instants(run, max(2, sizes.instants // 2), 40, 3)
+            ]
+            done = [f for f in found if f.until is not None]
+            rows.append([
+                f"{odds:g}", name, len(found), share([f.until is not None for f in found]),
+                _quantiles([f.metres for f in done]), f"{sum(not f.first_right for f in done)} of {len(done)}",
+                f"{sum(f.wrong for f in done)} of {sum(f.wrong + f.right for f in done)}",
+            ])  # fmt: skip
+    table(rows)
+    _strangers(cache, sizes)
+
+
+def _strangers(cache: Path, sizes: Sizes) -> None:
+    """Print how many scans of other buildings are given a pose."""
+    logs = {
+        n: scans_of(open_log(data_folder() / "laser2d" / f"{n}.clf.gz")) for n in ("belgioioso", "aces", "mit-csail")
+    }
+    logs["intel"] = half_run(cache, "intel").scans
+    hall = wean_run(cache, 2)
+    logs["Wean Hall"] = hall.scans
+    maps: dict[str, Map | States] = {
+        n: planar_world(cache, n, Lattice.named("A2", 0.05)).map for n in ("intel", "belgioioso", "aces")
+    }
+    maps["Wean Hall"] = hall.world
+    rows: list[list[object]] = [["map", "log", "scans", "answered", "doubtful", "CPU s"]]
+    total = answered = 0
+    for name, world in maps.items():
+        for log, scans in logs.items():
+            if log == name:
+                continue
+            localiser = Localiser(world, LocaliserSettings(node_limit=1_000_000))
+            begin, count, ambiguous = time.process_time(), 0, 0
+            chosen = scans[: sizes.foreign]
+            for scan in chosen:
+                estimate = localiser.add(scan)
+                count += estimate is not None and estimate.pose is not None
+                ambiguous += estimate is not None and estimate.state is TrackState.ambiguous
+            rows.append([name, log, len(chosen), count, ambiguous, time.process_time() - begin])
+            total, answered = total + len(chosen), answered + count
+    rows.append(["all", "", total, answered, "", ""])
+    print("consecutive scans of other buildings; nodes of a search at most 1,000,000; doubtful: none answered\n")
+    table(rows)
+
+
+FIGURES: dict[str, Callable[[Path, Sizes], None]] = {"wean": wean, "kidnap": kidnap, "risk": risk}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print the figures asked for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks.localiser", description="Figures of the localiser."
+    )
+    parser.add_argument("figures", nargs="*", help=f"{', '.join(FIGURES)}; all without a name")
+    parser.add_argument("--cache", type=Path, help="folder for trajectories and maps; none keeps nothing")
+    parser.add_argument("--instants", type=int, default=50, help="random instants of each log")
+    parser.add_argument("--length", type=int, default=300, help="scans from each at the most")
+    parser.add_argument("--foreign", type=int, default=700, help="scans of each log in each map of another building")
+    chosen = parser.parse_args(arguments)
+    figures = chosen.figures or list(FIGURES)
+    for figure in figures:
+        if figure not in FIGURES:
+            parser.error(f"no figure {figure!r}: {', '.join(FIGURES)}")
+    sizes = Sizes(chosen.instants, chosen.length, chosen.foreign)
+    print(versions("hexmap", "numpy", "numba"))
+    print(f"Python {platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores, {sizes}\n")
+    if not (data_folder() / "laser2d").is_dir():
+        print("left out: no shared data (set HEXMAP_DATA)\n")
+        return
+    with contextlib.ExitStack() as stack:
+        cache: Any = chosen.cache or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        cache.mkdir(parents=True, exist_ok=True)
+        for figure in figures:
+            begin = time.perf_counter()
+            print(f"== {figure}\n")
+            FIGURES[figure](cache, sizes)
+            print(f"({figure}: {time.perf_counter() - begin:.0f} s)\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
