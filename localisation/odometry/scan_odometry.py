@@ -26,8 +26,8 @@ __all__ = ["ScanOdometry"]
 # A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
 ENOUGH = 0.5
 WIDENING = (1.0, 2.0, 4.0)
-# Where it is learnt how good predictions are: standard deviations that make the first window, which begins at a third of
-# the settings' one, as if so many scans had shown it; after so many scans the older ones are forgotten by a half.
+# Where it is learnt how good predictions are: standard deviations that make the first window, which begins at a third
+# of the settings' one, as if so many scans had shown it; after so many scans the older ones are forgotten by a half.
 _SIGMAS = 3.0
 _BEGIN = 5.0
 _FORGET = 0.5 ** (1.0 / 100.0)

@@ -34,7 +34,7 @@ _NEIGHBOURS = 3
 # Points of a submap that are matched at most: more take longer and say no more.
 _MOST_POINTS = 400
 # In cells of the finest level: two submaps whose relative pose is known so well gain nothing by another loop.
-_KNOWN = 0.5
+_KNOWN = 1.0
 # Share of the squares of a metre that must lie on those of the other where the graph knows where they are.
 _LEAST_IN_VIEW = 0.5
 

@@ -254,9 +254,7 @@ class Slam:
 
     def _usable(self, number: int) -> tuple[FloatArray, FloatArray]:
         """Return the points of a scan that lie in the range that is mapped, in the sensor's and the robot's frame."""
-        points = self.scans[number].points.astype(np.float64)
-        ranges = np.sqrt((points**2).sum(axis=1))
-        points = points[(ranges >= self.settings.min_range) & (ranges <= limit_of(self.settings.max_range))]
+        points = self.scans[number].usable(self.settings.min_range, limit_of(self.settings.max_range))
         return points, self.mount.apply(points)
 
     def _scan_in_node(self, number: int) -> tuple[Scan, Pose]:
