@@ -150,7 +150,7 @@ class ScanOdometry:
         """
         best: Match | None = None
         if self._learn:
-            window = self._likely_window()
+            window = self.likely_window()
             best = self._likeliest(points, predicted, window)
             if best is not None and best.fraction >= ENOUGH and not _at_border(predicted, best.pose, window):
                 self._note(predicted, best.pose)
@@ -191,7 +191,7 @@ class ScanOdometry:
         refined = refine_on(self._fine, points, best.searched, searched=self._coarse.lattice)
         return replace(best, pose=refined.pose, refined=refined.converged)
 
-    def _likely_window(self) -> SearchWindow:
+    def likely_window(self) -> SearchWindow:
         """Return the window in which the scan should lie by what predictions have been off so far."""
         metres, radians = (_SIGMAS * math.sqrt(square / self._weight) for square in self._squares)
         # By steps of a half more, so that the shifts of a window are made once and not for every scan.
