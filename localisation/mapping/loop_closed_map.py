@@ -20,6 +20,7 @@ from localisation.mapping.result import (
 )
 from localisation.settings import MappingSettings, make_builder
 from localisation.slam import planar
+from localisation.slam.rematch import rematch
 from localisation.slam.settings import LoopSettings
 from localisation.slam.slam import Slam
 
@@ -75,7 +76,17 @@ def build_loop_closed_map(
     if slam is None:
         raise LogError(f"{log.path}: there is no laser reading in it")
     unusable.check(len(slam.scans))
-    result = slam.finish()
+    with phase("closing loops", lambda: 0.0):
+        result = slam.finish()
+    done = 0
+
+    def count(scans: int) -> None:
+        nonlocal done
+        done = scans
+        progress(scans)
+
+    with phase("matching again", lambda: done / (2 * len(result.scans))) as progress:
+        result = rematch(result, settings, slam.mount, count)
     builder = make_builder(settings)
     recorder = PoseRecorder(on_pose)
     scans = iter(result.scans)

@@ -26,8 +26,8 @@ __all__ = ["ScanOdometry"]
 # A scan agrees with the map when at least half of its cells do; if not, the window is doubled twice.
 ENOUGH = 0.5
 WIDENING = (1.0, 2.0, 4.0)
-# Where it is learnt how good predictions are: standard deviations that make the first window, which begins at a third of
-# the settings' one, as if so many scans had shown it; after so many scans the older ones are forgotten by a half.
+# Where it is learnt how good predictions are: standard deviations that make the first window, which begins at a third
+# of the settings' one, as if so many scans had shown it; after so many scans the older ones are forgotten by a half.
 _SIGMAS = 3.0
 _BEGIN = 5.0
 _FORGET = 0.5 ** (1.0 / 100.0)
@@ -150,7 +150,7 @@ class ScanOdometry:
         """
         best: Match | None = None
         if self._learn:
-            window = self._likely_window()
+            window = self.likely_window()
             best = self._likeliest(points, predicted, window)
             if best is not None and best.fraction >= ENOUGH and not _at_border(predicted, best.pose, window):
                 self._note(predicted, best.pose)
@@ -191,7 +191,7 @@ class ScanOdometry:
         refined = refine_on(self._fine, points, best.searched, searched=self._coarse.lattice)
         return replace(best, pose=refined.pose, refined=refined.converged)
 
-    def _likely_window(self) -> SearchWindow:
+    def likely_window(self) -> SearchWindow:
         """Return the window in which the scan should lie by what predictions have been off so far."""
         metres, radians = (_SIGMAS * math.sqrt(square / self._weight) for square in self._squares)
         # By steps of a half more, so that the shifts of a window are made once and not for every scan.

@@ -31,10 +31,13 @@ __all__ = ["LoopCloser", "LoopRecord", "local_covariance", "some_points"]
 
 # Nodes between two submaps that have a scan in common or one beside the other's.
 _NEIGHBOURS = 3
+# Variance of a loop in what the surface of scores says: both submaps are bent by what drifts inside them. Fitted on
+# simulated drives, where ellipses of 95 % held 90 % of the loops with 1.
+_BENT = 1.5
 # Points of a submap that are matched at most: more take longer and say no more.
 _MOST_POINTS = 400
 # In cells of the finest level: two submaps whose relative pose is known so well gain nothing by another loop.
-_KNOWN = 0.5
+_KNOWN = 1.0
 # Share of the squares of a metre that must lie on those of the other where the graph knows where they are.
 _LEAST_IN_VIEW = 0.5
 
@@ -311,7 +314,7 @@ class LoopCloser:
             return replace(record, reason="the reverse search differs")
         points = some_points(new.points, _MOST_POINTS)
         covariance = score_covariance(old.pyramid, points, np.ones(len(points), np.int64), match.searched)
-        covariance = local_covariance(covariance, pose)
+        covariance = _BENT * local_covariance(covariance, pose)
         found = planar.of_pose(pose)
         off_graph = planar.between(candidate.pose, found)
         chi2 = float(off_graph @ np.linalg.solve(candidate.covariance + covariance, off_graph))

@@ -21,8 +21,8 @@ class LoopSettings:
         node_scans: scans between two nodes at least, so that sparse scans make a submap as well.
         trusted: standard deviation, as a share of the matcher's window, up to which an old submap's place is known well
             enough to match scans against it: three of them leave a quarter of the window for the motion.
-        most_local: stretches between nodes that scans are matched against at most, the nearest ones: the time for a scan
-            must not grow with the log, and farther away than this much path there is little in view.
+        most_local: stretches between nodes that scans are matched against at most, the nearest ones: the time for a
+            scan must not grow with the log, and farther away than this much path there is little in view.
         sigmas: the window of a search is so many standard deviations of where the submap may be.
         searches: old submaps that a new one is looked for in at most.
         node_limit: blocks and poses that one search may take: some tenths of a second.

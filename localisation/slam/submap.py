@@ -34,6 +34,8 @@ __all__ = ["Cells", "CompactScan", "Stretch", "Submap", "SubmapCells", "compact"
 
 # Scans whose beams say what is free in a submap: more say little more.
 _FREE_SCANS = 8
+# The share of a submap's points, the nearest ones, that is matched.
+_NEAR = 0.98
 # Levels of a pyramid that windows of so many cells need: its tables are most of a submap's memory.
 SMALL_LEVELS = 3
 SMALL_WINDOW = 64
@@ -58,6 +60,12 @@ class CompactScan:
     def scan(self) -> Scan:
         """Return the scan again."""
         return Scan(self.stamp, self.points.astype(np.float64), self.no_return.astype(np.float64), line=self.line)
+
+    def usable(self, min_range: float, max_range: float) -> FloatArray:
+        """Return the points (P, n) between two ranges, metres, in the sensor's frame."""
+        points = self.points.astype(np.float64)
+        ranges = np.sqrt((points**2).sum(axis=1))
+        return points[(ranges >= min_range) & (ranges <= max_range)]
 
 
 def compact(scan: Scan, *, no_return: bool) -> CompactScan:
@@ -154,7 +162,10 @@ class Cells:
         """Take the submap, and who knows the lattices and the scans."""
         self._maker = maker
         self._submap = submap
-        self.raw_points, _ = submap.points()
+        points, _ = submap.points()
+        ranges = np.sqrt((points**2).sum(axis=1))
+        # The few farthest points say little, and the tables reach as far as they do.
+        self.raw_points = points[ranges <= np.quantile(ranges, _NEAR)] if len(points) else points
 
     @cached_property
     def points(self) -> FloatArray:
@@ -214,7 +225,7 @@ class SubmapCells:
         searched: Lattice,
         rule: StateRule,
         scan_of: Callable[[int], tuple[Scan, Pose]],
-        kept: int = 24,
+        kept: int = 12,
     ) -> None:
         """Take the lattices, and what gives a scan by its number with its pose T_node_sensor seen from its node."""
         self.lattice, self.wide = searched, searched.scaled(2.0)

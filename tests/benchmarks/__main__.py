@@ -10,11 +10,13 @@ from tests.benchmarks import (
     optimum,
     planning,
     replanning,
+    slam,
     voxels,
 )
 
 voxels.main()
 mapping.main()
 experiments.main()
+slam.main([])
 for module in (planning, canonical, optimum, anyangle, replanning, localisation, localiser):
     module.main([])
