@@ -7,7 +7,7 @@ scans, and whoever follows it: a scan matcher that keeps the occupied cells of t
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,16 @@ class CellCounter:
         self._used = 0
         self._noted = 0
         self._followers: list[Follower] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out those who follow: what they hold is made anew when they follow again."""
+        return {**self.__dict__, "_followers": []}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Own the arrays, which otherwise cannot grow in place."""
+        self.__dict__.update(state)
+        arrays = self._arrays
+        self._arrays = type(arrays)(*(a.copy() if isinstance(a, np.ndarray) else a for a in arrays))
 
     # ------------------------------------------------------------------ counting
 

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
 from hexmap.io.logs.log import Log
 from hexmap.poses.scan import Odometry
+from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.result import (
     MappingResult,
     OnPose,
@@ -37,6 +38,7 @@ def build_loop_closed_map(
     *,
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> MappingResult:
     """Map a log by scan matching, with its loops closed.
 
@@ -48,6 +50,7 @@ def build_loop_closed_map(
             reading in the log's order.
         phase: shows what is being done; it is entered for each phase, and what it yields is called with the number of
             scans that are done.
+        checkpoints: where the run keeps what it knows, and finds what one that was killed has left.
 
     Returns:
         The map, in the frame of the first pose, with what was found of loops in ``slam``.
@@ -55,13 +58,22 @@ def build_loop_closed_map(
     Raises:
         LogError: the log cannot be read or has no laser reading.
         MissingDependencyError: gtsam cannot be loaded.
+        FormatError: the checkpoint is of another run, or damaged.
     """
-    settings = settings or MappingSettings()
+    settings, loops = settings or MappingSettings(), loops or LoopSettings()
     phase = phase or _silent
     slam: Slam | None = None
     unusable = UnusableScans(log)
+    begun = None if checkpoints is None else checkpoints.find(log, settings, loops)
+    if begun is not None:
+        slam, unusable = begun.state
+        unusable.log = log
     with phase("mapping", log.fraction) as progress:
-        for event in log:
+        for number, event in enumerate(log):
+            if begun is not None and number < begun.readings:
+                continue
+            if checkpoints is not None and slam is not None:
+                checkpoints.keep(log, settings, loops, number, (slam, unusable))
             # Only once the log has been begun does it say how the laser is mounted.
             slam = slam or Slam(settings, loops, log.mount)
             if isinstance(event, Odometry):

@@ -53,9 +53,13 @@ class UnusableScans:
     """Counts the scans that cannot go into the map and remembers the first, for one clear line."""
 
     def __init__(self, log: Log) -> None:
-        self._log = log
+        self.log = log
         self._count = 0
         self._first = ""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the log, which is opened again."""
+        return {**self.__dict__, "log": None}
 
     def add(self, event: Event, error: Exception) -> None:
         """Count a scan that ``error`` keeps out of the map."""
@@ -66,14 +70,14 @@ class UnusableScans:
     def check(self, used: int) -> None:
         """Raise where not one scan could be used."""
         if self._count and not used:
-            raise LogError(f"{self._log.path}: no scan can be used, {self._first}")
+            raise LogError(f"{self.log.path}: no scan can be used, {self._first}")
 
     @property
     def warnings(self) -> list[str]:
         """What to say of them: one line, or none."""
         if not self._count:
             return []
-        return [f"{self._log.path}: {self._count} scans cannot be used and are left out, the first at {self._first}"]
+        return [f"{self.log.path}: {self._count} scans cannot be used and are left out, the first at {self._first}"]
 
 
 class PoseRecorder:

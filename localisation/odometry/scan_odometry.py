@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -89,6 +90,15 @@ class ScanOdometry:
             _BEGIN * (settings.search_metres / _SIGMAS**2) ** 2, _BEGIN * (settings.search_radians / _SIGMAS**2) ** 2
         ]  # fmt: skip
         self.match_against(builder)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the occupied cells: the builder's counters have them."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("_coarse", "_fine")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Follow the builder's counters again."""
+        self.__dict__.update(state)
+        self.match_against(self._builder)
 
     def match_against(self, builder: MapBuilder) -> None:
         """Match the next scans against what is in ``builder``."""

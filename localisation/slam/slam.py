@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -130,6 +131,11 @@ class Slam:
         self._doubt = np.zeros((3, 3))
         self._lost = False
         self._errors = np.array([settings.search_metres**2] * 2 + [settings.search_radians**2])
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Give the submaps their scans again."""
+        self.__dict__.update(state)
+        self._cells.scan_of = self._scan_in_node
 
     @property
     def jumps(self) -> int:

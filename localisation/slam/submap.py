@@ -13,6 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,8 +230,12 @@ class SubmapCells:
     ) -> None:
         """Take the lattices, and what gives a scan by its number with its pose T_node_sensor seen from its node."""
         self.lattice, self.wide = searched, searched.scaled(2.0)
-        self.fine, self._rule, self._scan_of, self._kept = fine, rule, scan_of, kept
+        self.fine, self._rule, self.scan_of, self._kept = fine, rule, scan_of, kept
         self._cells: OrderedDict[int, Cells] = OrderedDict()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the cells, which are made again when they are asked for, and who gives the scans."""
+        return {**self.__dict__, "_cells": OrderedDict(), "scan_of": None}
 
     def of(self, submap: Submap) -> Cells:
         """Return the cells of a submap."""
@@ -250,7 +255,7 @@ class SubmapCells:
         T_node_before = None if submap.before is None else planar.to_pose(submap.before.motion).inverse()
         counter = CellCounter(self.wide)
         for number in chosen:
-            scan, pose = self._scan_of(number)
+            scan, pose = self.scan_of(number)
             if number < submap.after.first and T_node_before is not None:
                 pose = T_node_before @ pose
             counter.fuse(pose.translation, pose.apply(scan.points), len(scan.points))
