@@ -20,12 +20,13 @@ from hexmap.poses.pose import Pose, wrap_angle
 from localisation.matching.global_matcher import GlobalMatcher
 from localisation.matching.information import score_covariance
 from localisation.matching.match import Match
+from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.refinement import refine_on
 from localisation.matching.search_region import SearchRegion
 from localisation.slam import planar
 from localisation.slam.pose_graph import Edge, PoseGraph
 from localisation.slam.settings import LoopSettings
-from localisation.slam.submap import Cells, Submap, SubmapCells
+from localisation.slam.submap import SMALL_WINDOW, Cells, Submap, SubmapCells
 
 __all__ = ["LoopCloser", "LoopRecord", "local_covariance", "some_points"]
 
@@ -332,16 +333,36 @@ class LoopCloser:
         lattice = self._cells.lattice
         turn = planar.to_pose(pose).rotation
         sides = np.sqrt(np.diag(turn @ covariance[:2, :2] @ turn.T)) * self.settings.sigmas + 2.0 * lattice.resolution
-        yaw = self.settings.sigmas * math.sqrt(covariance[2, 2]) + lattice.resolution / max(1.0, _reach(new.points))
+        step = lattice.resolution / max(1.0, _reach(new.points))
         # Farther away than both reach nothing can meet.
         sides = np.minimum(sides, _reach(old.points) + _reach(new.points) + float(np.hypot(*pose[:2])))
+        yaw = min(self.settings.sigmas * math.sqrt(float(covariance[2, 2])) + step, math.pi)
+        if 2.0 * float(sides.max()) <= SMALL_WINDOW * lattice.resolution:
+            return self._search_box(old.pyramid, new, pose, (sides, yaw), both)
+        # A large window is searched on cells of twice the size, and where something is found the small ones follow.
+        found = self._search_box(old.wide_pyramid, new, pose, (sides, yaw), both)
+        if found is None or not found.certified or found.gap or found.runner_up is not None:
+            return found
+        near = 2.0 * self._cells.wide.resolution
+        around = np.full(2, near), near / max(1.0, _reach(new.points))
+        return self._search_box(old.pyramid, new, planar.of_pose(found.pose), around, both)
+
+    def _search_box(
+        self, pyramid: OccupancyPyramid, new: Cells, pose: FloatArray, window: tuple[FloatArray, float], both: bool
+    ) -> Match | None:
+        """Search a submap in the window of so many metres and radians to both sides of a pose (3,)."""
+        sides, yaw = window
         low, high = pose[:2] - sides, pose[:2] + sides
-        matcher = GlobalMatcher(old.pyramid_for(2.0 * float(sides.max())), _box(lattice, low, high))
+        matcher = GlobalMatcher(pyramid, _box(pyramid.lattice, low, high))
         return matcher.match(
-            some_points(new.points, _MOST_POINTS), SearchRegion(low, high, float(pose[2]), min(yaw, math.pi)),
-            runner_up=1.0 - self.settings.min_margin if both else None, refine=False,
-            beams=False, information=False, node_limit=self.settings.node_limit,
-        )  # fmt: skip
+            some_points(new.points, _MOST_POINTS),
+            SearchRegion(low, high, float(pose[2]), yaw),
+            runner_up=1.0 - self.settings.min_margin if both else None,
+            refine=False,
+            beams=False,
+            information=False,
+            node_limit=self.settings.node_limit,
+        )
 
 
 def some_points(points: FloatArray, most: int) -> FloatArray:

@@ -39,7 +39,7 @@ _NEWS_METRES = 0.05
 _NEWS_RADIANS = math.radians(2.0)
 # Of nodes that follow one another, the covariance of every so many is looked at.
 _EVERY = 4
-# Variance of the edge between two nodes, in what the surface of scores says of one match: the scans of a stretch hand on
+# Variance of the edge between two nodes, in what the surface of scores says of one match: scans of a stretch hand on
 # their errors. Fitted on simulated drives (``python -m tests.benchmarks.slam simulated``), where ellipses of 95 % held
 # 92 % of the poses with 1.
 _CHAIN = 1.5

@@ -183,15 +183,10 @@ class Cells:
         """The pyramid of its occupied cells, for windows of up to 128 of them."""
         return OccupancyPyramid(self.occupied, levels=SMALL_LEVELS)
 
-    def pyramid_for(self, side: float) -> OccupancyPyramid:
-        """Return the pyramid of its occupied cells for a window whose longer side is so many metres."""
-        if side <= SMALL_WINDOW * self._maker.lattice.resolution:
-            return self.pyramid
-        return self._whole_pyramid
-
     @cached_property
-    def _whole_pyramid(self) -> OccupancyPyramid:
-        return OccupancyPyramid(self.occupied)
+    def wide_pyramid(self) -> OccupancyPyramid:
+        """The pyramid of its occupied cells of twice the size, for larger windows."""
+        return OccupancyPyramid(coincidence(VoxelList.from_points(self.raw_points, self._maker.wide)))
 
     @cached_property
     def fine(self) -> Occupancy:
