@@ -4,20 +4,24 @@ from .localiser.localiser import Localiser
 from .localiser.settings import LocaliserSettings
 from .mapping.build_map import build_map
 from .mapping.fuse_log import fuse_log
+from .mapping.loop_closed_map import build_loop_closed_map
 from .matching.global_matcher import GlobalMatcher, match_anywhere
 from .matching.match import Match
 from .matching.search_region import SearchRegion
 from .settings import MappingSettings
+from .slam.settings import LoopSettings
 
 __all__ = [
     "Estimate",
     "GlobalMatcher",
     "Localiser",
     "LocaliserSettings",
+    "LoopSettings",
     "MappingSettings",
     "Match",
     "SearchRegion",
     "absolute_error",
+    "build_loop_closed_map",
     "build_map",
     "evaluate_relations",
     "fuse_log",

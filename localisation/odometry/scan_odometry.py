@@ -87,7 +87,7 @@ class ScanOdometry:
         self._learn = learn
         self._weight = _BEGIN
         self._squares = [
-            _BEGIN * (settings.search_metres / _SIGMAS**2) ** 2, _BEGIN * (settings.search_radians / _SIGMAS**2) ** 2
+            _BEGIN * (v / _SIGMAS**2) ** 2 for v in (settings.search_metres, settings.search_radians)
         ]  # fmt: skip
         self.match_against(builder)
 

@@ -36,7 +36,7 @@ def test_loops_bring_two_laps_together(lattice: str | list[list[float]]) -> None
 
 
 def test_rooms_that_look_the_same_are_not_put_together() -> None:
-    for seed in (1, 2):
+    for seed in (1, 2, 3):
         result, true = drive(twins(), BAD, seed=seed)
         # A false one would be off by the 14 m between the rooms.
         assert loop_errors(result, true).max(initial=0.0) < 1.0
@@ -83,8 +83,8 @@ def test_logs_of_no_scan_one_scan_and_scans_without_points() -> None:
 
 
 def test_without_odometry_a_building_is_mapped_all_the_same() -> None:
-    result, true = drive(make_building("castle"), BAD, seed=2, use_odometry=False)
-    assert np.mean(errors(result, true)) < 0.1
+    result, true = drive(make_building("castle"), BAD, seed=3, use_odometry=False)
+    assert errors(result, true)[result.is_scan].mean() < 0.1
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:
