@@ -62,7 +62,13 @@ def simulate(
 
 
 def build(
-    log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP.")],
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP; several of one place are mapped together.",
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
     lattice: Annotated[str | None, typer.Option(help="Z2 or A2.", show_default="A2")] = None,
     resolution: Annotated[
@@ -77,6 +83,12 @@ def build(
     loops_picture: Annotated[Path | None, typer.Option(help="Where to draw graph and loops.")] = None,
     graph: Annotated[Path | None, typer.Option(help="Where to write the graph of poses (g2o).")] = None,
     covariance: Annotated[Path | None, typer.Option(help="Where to write how sure each pose is (CSV).")] = None,
+    continue_map: Annotated[
+        Path | None, typer.Option("--continue", help="A map in which the log is found, and to which it is added.")
+    ] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Folder in which a run that is killed is found again and goes on.")
+    ] = None,
     poses: Annotated[Path | None, typer.Option(help="Poses (TUM) to fuse at, instead of matching.")] = None,
     associate: Annotated[
         Associate | None, typer.Option(help="How --poses go with scans.", show_default="order where the numbers agree")
@@ -110,7 +122,7 @@ def build(
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     check_outputs(
         {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
-        tuple(p for p in (log, poses, config) if p is not None),
+        tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
     )
     for path in (picture, loops_picture):
         if path is not None:
@@ -119,8 +131,20 @@ def build(
         if path is not None and (poses is not None or not loop_closure):
             how = "--poses" if poses is not None else "--no-loop-closure"
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
+        if path is not None and len(logs) > 1:
+            raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
+    asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
+    for option in (name for name, value in asked.items() if value):
+        if poses is not None or not loop_closure:
+            how = "--poses" if poses is not None else "--no-loop-closure"
+            raise ArgumentError(f"{option} and {how} do not go together: it takes runs whose loops are closed")
+    old = None
+    if continue_map is not None:
+        from hexmap.io.map_file import load_map
+
+        old = load_map(continue_map)
     settings = _settings(
-        config,
+        config if old is None or config is not None else continue_map,
         lattice=lattice,
         resolution=resolution,
         levels=levels,
@@ -142,12 +166,14 @@ def build(
             "odometry_topic": odometry_topic,
         },
     )
-    source = open_log(log, settings.log)
+    sources = [open_log(log, settings.log) for log in logs]
     given = read_tum(poses) if poses is not None else None
     if given is not None and not given.planar:
         raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
     first_run_note()
-    result = _build(source, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure)
+    result = _build(
+        sources, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure, old, checkpoint
+    )
     if result.slam is not None:
         _write_loops(result, settings, loops, loops_picture, graph, covariance)
 
@@ -250,8 +276,56 @@ def _read_config(path: Path) -> dict[str, Any]:
     return value
 
 
+def _map_logs(
+    sources: list[Any], settings: MappingSettings, old: Map | None, checkpoint: Path | None, on_pose: Any
+) -> MappingResult:
+    """Map one log after the other, each found in the map of those before it."""
+    from dataclasses import replace
+
+    from localisation.mapping.add_run import add_run
+    from localisation.mapping.align import pose_words
+    from localisation.mapping.checkpoint import Checkpoints
+    from localisation.mapping.loop_closed_map import build_loop_closed_map
+
+    kept = [None if checkpoint is None else Checkpoints(checkpoint / str(k)) for k in range(len(sources))]
+    result: MappingResult | None = None
+    world = old
+    for source, checkpoints in zip(sources, kept, strict=True):
+        if checkpoints is not None and checkpoints.path.exists():
+            say(f"{source.path}: goes on from {checkpoints.path}")
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        if world is None:
+            new = build_loop_closed_map(source, settings, **how)
+        else:
+            new, found = add_run(world, source, settings, **how)
+            say(f"{source.path}: begins at {pose_words(found.pose)} in the map; {found.met} cells of walls meet")
+        world = new.map
+        result = new if result is None else replace(
+            new, scans=result.scans + new.scans, odometry=result.odometry + new.odometry,
+            matched=result.matched + new.matched, unmatched=result.unmatched + new.unmatched,
+            mean_part=(result.mean_part * result.matched + new.mean_part * new.matched)
+            / max(1, result.matched + new.matched),
+            metres=result.metres + new.metres, warnings=[*result.warnings, *new.warnings],
+        )  # fmt: skip
+    assert result is not None
+    return result
+
+
+def _forget(folder: Path, count: int) -> None:
+    """Remove the checkpoints of runs that are done, and the folders if they are empty."""
+    import contextlib
+
+    from localisation.mapping.checkpoint import Checkpoints
+
+    for k in range(count):
+        Checkpoints(folder / str(k)).forget()
+    for path in [*(folder / str(k) for k in range(count)), folder]:
+        with contextlib.suppress(OSError):
+            path.rmdir()
+
+
 def _build(
-    source: Any,
+    sources: list[Any],
     settings: MappingSettings,
     output: Path,
     trajectory: Path | None,
@@ -260,6 +334,8 @@ def _build(
     given: Any,
     associate: Associate | None,
     loop_closure: bool = True,
+    old: Map | None = None,
+    checkpoint: Path | None = None,
 ) -> MappingResult:
     """Build, write and report; returns the result."""
     from contextlib import ExitStack
@@ -268,8 +344,8 @@ def _build(
     from hexmap.io.trajectories import TumWriter
     from localisation.mapping.build_map import build_map
     from localisation.mapping.fuse_log import fuse_log
-    from localisation.mapping.loop_closed_map import build_loop_closed_map
 
+    source = sources[0]
     begin = time.monotonic()
     drawn: list[tuple[float, float]] = []
     with ExitStack() as stack:
@@ -282,7 +358,7 @@ def _build(
                 drawn.append((pose.x, pose.y))
 
         if given is None and loop_closure:
-            result = build_loop_closed_map(source, settings, on_pose=on_pose, phase=progress_line)
+            result = _map_logs(sources, settings, old, checkpoint, on_pose)
         else:
             with progress_line("mapping", source.fraction) as progress:
                 if given is None:
@@ -292,6 +368,8 @@ def _build(
                     result = fuse_log(source, given, settings, associate=how, on_pose=on_pose, progress=progress)
         seconds = time.monotonic() - begin
         save_map(output, result.map)
+    if checkpoint is not None:
+        _forget(checkpoint, len(sources))
     for text in result.warnings:
         warn(text)
     if len(result.map.levels[0].hits) == 0:
@@ -432,7 +510,7 @@ def demo(
     wrote(truth, "true poses")
     first_run_note()
     path, poses, picture = output / "office.parquet", output / "office.tum", output / "office.png"
-    _build(open_log(log), settings, path, poses, Readings.all, picture, None, None)
+    _build([open_log(log)], settings, path, poses, Readings.all, picture, None, None)
     detail, coarse = output / "office-detail.png", output / "office-coarse.png"
     whole = load_map(path)
     low, high = whole.bounds() or (np.zeros(2), np.zeros(2))

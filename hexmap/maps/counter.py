@@ -60,8 +60,8 @@ class CellCounter:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Own the arrays, which otherwise cannot grow in place."""
         self.__dict__.update(state)
-        arrays = self._arrays
-        self._arrays = type(arrays)(*(a.copy() if isinstance(a, np.ndarray) else a for a in arrays))
+        owned = {k: a.copy() for k, a in self._arrays._asdict().items() if isinstance(a, np.ndarray)}
+        self._arrays = self._arrays._replace(**owned)
 
     # ------------------------------------------------------------------ counting
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
@@ -23,9 +24,9 @@ from localisation.settings import MappingSettings, make_builder
 from localisation.slam import planar
 from localisation.slam.rematch import rematch
 from localisation.slam.settings import LoopSettings
-from localisation.slam.slam import Slam
+from localisation.slam.slam import Slam, SlamResult
 
-__all__ = ["Phase", "build_loop_closed_map"]
+__all__ = ["MappedRun", "Phase", "build_loop_closed_map", "fuse_run", "map_run"]
 
 Phase: TypeAlias = Callable[[str, Callable[[], float]], AbstractContextManager[Progress]]
 """Begins a phase of the work: its name, and what tells which part of it is done."""
@@ -60,8 +61,38 @@ def build_loop_closed_map(
         MissingDependencyError: gtsam cannot be loaded.
         FormatError: the checkpoint is of another run, or damaged.
     """
-    settings, loops = settings or MappingSettings(), loops or LoopSettings()
-    phase = phase or _silent
+    settings = settings or MappingSettings()
+    run = map_run(log, settings, loops, phase=phase, checkpoints=checkpoints)
+    return fuse_run(run, settings, on_pose=on_pose, phase=phase)
+
+
+@dataclass(frozen=True, eq=False)
+class MappedRun:
+    """The poses of a log, before its scans are fused.
+
+    Attributes:
+        log: which was read.
+        slam: what mapped it.
+        result: its poses, with loops closed and every scan drawn to the others.
+        unusable: the scans that were left out.
+    """
+
+    log: Log
+    slam: Slam
+    result: SlamResult
+    unusable: UnusableScans
+
+
+def map_run(
+    log: Log,
+    settings: MappingSettings,
+    loops: LoopSettings | None = None,
+    *,
+    phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
+) -> MappedRun:
+    """Find the poses of a log: arguments and errors as of :func:`build_loop_closed_map`."""
+    loops, phase = loops or LoopSettings(), phase or _silent
     slam: Slam | None = None
     unusable = UnusableScans(log)
     begun = None if checkpoints is None else checkpoints.find(log, settings, loops)
@@ -99,6 +130,15 @@ def build_loop_closed_map(
 
     with phase("matching again", lambda: done / (2 * len(result.scans))) as progress:
         result = rematch(result, settings, slam.mount, count)
+    return MappedRun(log, slam, result, unusable)
+
+
+def fuse_run(
+    run: MappedRun, settings: MappingSettings, *, on_pose: OnPose | None = None, phase: Phase | None = None
+) -> MappingResult:
+    """Fuse the scans of a run at its poses."""
+    log, slam, result = run.log, run.slam, run.result
+    phase = phase or _silent
     builder = make_builder(settings)
     recorder = PoseRecorder(on_pose)
     scans = iter(result.scans)
@@ -118,7 +158,7 @@ def build_loop_closed_map(
         skipped=0,
         mean_part=slam.fractions / slam.matched if slam.matched else 0.0,
         metres=recorder.metres,
-        warnings=[*log.warnings, *unusable.warnings, *jump_warnings(log, slam.jumps)],
+        warnings=[*log.warnings, *run.unusable.warnings, *jump_warnings(log, slam.jumps)],
         slam=result,
     )
 

@@ -23,7 +23,7 @@ from localisation.settings import MappingSettings, limit_of
 from localisation.slam import planar
 from localisation.slam.slam import SlamResult
 
-__all__ = ["rematch"]
+__all__ = ["carry_along", "rematch"]
 
 # Fewer points than this are no ground to move a scan.
 _LEAST = 20
@@ -56,7 +56,7 @@ def rematch(
         points = mount.apply(scan.usable(settings.min_range, limit))
         drawn[number] = others.draw(points, rows[number])
         progress(len(rows) + number + 1)
-    return replace(result, poses=_carried_along(result, drawn))
+    return replace(result, poses=_in_first_frame(result, carry_along(result, drawn)))
 
 
 class _Others:
@@ -92,8 +92,8 @@ class _Others:
         return int(self.occupancy.contains(self.counter.lattice.quantise(pose.apply(points))).sum())
 
 
-def _carried_along(result: SlamResult, drawn: FloatArray) -> FloatArray:
-    """Return the poses (N, 3) of all readings, those between two scans moved as both are."""
+def carry_along(result: SlamResult, drawn: FloatArray) -> FloatArray:
+    """Return the poses (N, 3) of all readings with the scans at ``drawn`` (S, 3), those between moved as both are."""
     at = np.flatnonzero(result.is_scan)
     readings = np.arange(len(result.poses))
     after = np.clip(np.searchsorted(at, readings), 0, len(at) - 1)
@@ -104,6 +104,10 @@ def _carried_along(result: SlamResult, drawn: FloatArray) -> FloatArray:
     share = np.clip((readings - at[before]) / np.maximum(at[after] - at[before], 1), 0.0, 1.0)
     poses = planar.blend(by_before, by_after, share)
     poses[at] = drawn
-    # The frame stays that of the first pose.
+    return poses
+
+
+def _in_first_frame(result: SlamResult, poses: FloatArray) -> FloatArray:
+    """Return poses (N, 3) in the frame in which the first one is where it was."""
     back = planar.compose(result.poses[0], planar.invert(poses[0]))
     return planar.compose(np.broadcast_to(back, poses.shape), poses)
