@@ -60,7 +60,7 @@ class CellCounter:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Own the arrays, which otherwise cannot grow in place."""
         self.__dict__.update(state)
-        owned = {k: a.copy() for k, a in self._arrays._asdict().items() if isinstance(a, np.ndarray)}
+        owned: dict[str, Any] = {k: a.copy() for k, a in self._arrays._asdict().items() if isinstance(a, np.ndarray)}
         self._arrays = self._arrays._replace(**owned)
 
     # ------------------------------------------------------------------ counting

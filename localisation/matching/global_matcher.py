@@ -132,6 +132,7 @@ class GlobalMatcher:
         angles: str | float = "continuous",
         apart: tuple[float, float] = (0.5, math.radians(10.0)),
         runner_up: float | None = 0.9,
+        least: float = 0.0,
         most_points: int | None = None,
         refine: bool = True,
         beams: bool = True,
@@ -148,6 +149,8 @@ class GlobalMatcher:
             angles: "continuous", or a step in radians: then the yaws are its multiples, from ``region.yaw`` on.
             apart: metres and radians within which a pose is the same as the best.
             runner_up: down to which part of the best score other poses are looked for; None: not at all.
+            least: share of the largest possible score, 0 to 1, below which no pose is looked for: what is hopeless is
+                found to be so soonest.
             most_points: at most so many points, spread evenly, are searched with, and score and proof are of these;
                 None: of all. Of a LiDAR's scan some hundred tell as much as all of its thousands.
             refine: whether the pose is refined below a cell, with all points.
@@ -168,6 +171,8 @@ class GlobalMatcher:
             raise ArgumentError(f"the map is of dimension {n}, the scan {p.shape}")
         region = region or SearchRegion()
         _check(n, region, angles, apart, runner_up)
+        if not 0.0 <= least <= 1.0:
+            raise ArgumentError(f"a pose is looked for from a share of 0 to 1 of the largest score on, not {least}")
         if most_points is not None and most_points < 1:
             raise ArgumentError(f"a search takes at least one point, not {most_points}")
         if len(p) == 0 or self.pyramid.most == 0:
@@ -176,15 +181,16 @@ class GlobalMatcher:
         kept, weights = thin(p if most_points is None else spread_points(p, lattice, most_points), lattice)
         step = None if angles == "continuous" else float(angles)
         search = BranchAndBound(self.space, kept, weights, region, step, node_limit)
-        best = search.run(0, end)
+        total = int(weights.sum()) * self.pyramid.most
+        begin = max(0, math.ceil(least * total) - 1)
+        best = search.run(begin, end)
         if best.pose is None:
             return None
         second: Found | None = None
         floor = 0
         if runner_up is not None and best.finished:
-            floor = min(best.score, math.floor(runner_up * best.score))
+            floor = max(begin, min(best.score, math.floor(runner_up * best.score)))
             second = search.run(floor, end, (best.pose, apart))
-        total = int(weights.sum()) * self.pyramid.most
         pose, refined = best.pose, False
         if refine:
             result = refine_on(self.pyramid.occupancy, p, best.pose)

@@ -37,6 +37,9 @@ _NEIGHBOURS = 3
 _BENT = 1.5
 # Points of a submap that are matched at most: more take longer and say no more.
 _MOST_POINTS = 400
+# Share of them that must meet walls, cell by cell, before a match is worth a look: a third of what the overlap asks for,
+# in which walls of twice the width count.
+_LEAST = 0.1
 # In cells of the finest level: two submaps whose relative pose is known so well gain nothing by another loop.
 _KNOWN = 1.0
 # Share of the squares of a metre that must lie on those of the other where the graph knows where they are.
@@ -358,6 +361,7 @@ class LoopCloser:
             some_points(new.points, _MOST_POINTS),
             SearchRegion(low, high, float(pose[2]), yaw),
             runner_up=1.0 - self.settings.min_margin if both else None,
+            least=_LEAST,
             refine=False,
             beams=False,
             information=False,
