@@ -140,9 +140,7 @@ def _found_at_end(rows: Sequence[Row]) -> Values:
 
 
 def _false_answers(rows: Sequence[Row]) -> Values:
-    return _runs(
-        rows, lambda run: float(np.mean([row["answered"] and not is_right([row])[0] for row in run]))
-    )
+    return _runs(rows, lambda run: float(np.mean([row["answered"] and not is_right([row])[0] for row in run])))
 
 
 def _scans_until(rows: Sequence[Row]) -> Values:
@@ -156,19 +154,20 @@ def _scans_until(rows: Sequence[Row]) -> Values:
 
 
 def _measures() -> list[Measure]:
+    anywhere = ("global", "all angles")
     out: list[Measure] = []
     for metres, degrees in THRESHOLDS:
         out.append(Measure(
-            f"found {metres:g} m", f"scans found within {metres:g} m and {degrees:g}°", "global", "all angles", 1, False,
+            f"found {metres:g} m", f"scans found within {metres:g} m and {degrees:g}°", *anywhere, 1, False,
             _success((metres, degrees)), _mean, True,
         ))  # fmt: skip
     out += [
-        Measure("error", "median error of those found, m", "global", "all angles", -1, True, _of_right("metres"), _median),
-        Measure("turn", "median error of those found, °", "global", "all angles", -1, True, _of_right("degrees"), _median),
-        Measure("risk", "area under risk over coverage", "global", "all angles", -1, False, _risk, risk_area),
-        Measure("95 %", "distance from 95 % in the 95 % ellipses", "global", "all angles", -1, False, _of_right("nes"),
+        Measure("error", "median error of those found, m", *anywhere, -1, True, _of_right("metres"), _median),
+        Measure("turn", "median error of those found, °", *anywhere, -1, True, _of_right("degrees"), _median),
+        Measure("risk", "area under risk over coverage", *anywhere, -1, False, _risk, risk_area),
+        Measure("95 %", "distance from 95 % in the 95 % ellipses", *anywhere, -1, False, _of_right("nes"),
                 _off_95),
-        Measure("nodes", "nodes of the search", "global", "all angles", -1, True, _plain("nodes"), _mean),
+        Measure("nodes", "nodes of the search", *anywhere, -1, True, _plain("nodes"), _mean),
     ]  # fmt: skip
     return out
 
@@ -218,7 +217,9 @@ def sign_test(a: FloatArray, b: FloatArray) -> float:
     return min(1.0, 2.0 * tail)
 
 
-def compare(measure: Measure, a: Sequence[Row], b: Sequence[Row], seed: int) -> tuple[float, float, Interval, int, str] | None:
+def compare(
+    measure: Measure, a: Sequence[Row], b: Sequence[Row], seed: int
+) -> tuple[float, float, Interval, int, str] | None:
     """Compare rows of one grid with those of another on the same scans, in the order of the log.
 
     Returns:
@@ -243,7 +244,9 @@ def compare(measure: Measure, a: Sequence[Row], b: Sequence[Row], seed: int) -> 
 
     # Neighbouring scans are alike: stretches of the log are drawn.
     block = max(1, min(block_length(u[:, 0] - v[:, 0]), len(u) // 2))
-    interval = bootstrap(np.arange(len(u), dtype=np.float64), statistic, rng=np.random.default_rng([seed, 5]), block=block)
+    interval = bootstrap(
+        np.arange(len(u), dtype=np.float64), statistic, rng=np.random.default_rng([seed, 5]), block=block
+    )
     even = 1.0 if measure.ratio else 0.0
     decided = not interval.low <= even <= interval.high
     # Where few pairs differ the bootstrap is too sure of them.

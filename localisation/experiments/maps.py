@@ -1,4 +1,4 @@
-"""The maps of an experiment: of the scans that are not looked for, on any lattice, whole or in part, as it was or changed.
+"""The maps of an experiment: of the scans that are not looked for, on any lattice, whole or in part, or changed since.
 
 A worker keeps the maps that it used last, since cases that need the same map follow each other.
 """
@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +42,14 @@ class MapKind:
 
     Attributes:
         grid: number of the lattice and size.
+        turn: number of the angle at which the lattice lies.
         scans: share of the scans that are in it.
         farthest: metres beyond which points are left out.
         changed: share of the walls that have been taken away or moved since.
     """
 
     grid: int
+    turn: int = 0
     scans: float = 1.0
     farthest: float = math.inf
     changed: float = 0.0
@@ -77,7 +79,7 @@ class _Kept:
     """The maps that this process used last, of one experiment."""
 
     points: FloatArray | None = None
-    maps: OrderedDict[MapKind, Prepared] = OrderedDict()
+    maps: ClassVar[OrderedDict[MapKind, Prepared]] = OrderedDict()
 
 
 def prepare(kind: MapKind, shared: Mapping[str, Any]) -> Prepared:
@@ -88,7 +90,7 @@ def prepare(kind: MapKind, shared: Mapping[str, Any]) -> Prepared:
         _Kept.maps.move_to_end(kind)
         return _Kept.maps[kind]
     world = World.of_shared(shared)
-    lattice = Lattice(np.array(shared["bases"][kind.grid]))
+    lattice = Lattice(np.array(shared["bases"][kind.grid][kind.turn]))
     builder = MapBuilder(lattice, levels=1, max_range=kind.farthest)
     for k in some_of(world.map_scans(), kind.scans).tolist():
         builder.fuse(Scan(0.0, world.scan(k)), world.pose(k))

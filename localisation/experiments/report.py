@@ -55,8 +55,13 @@ def _what_was_done(results: Results) -> str:
     return (
         f"{len(world.map_scans()):,} scans make the maps and {len(world.test_scans()):,} others are there to look for: "
         f"{by}, and no map contains a scan that is looked for in it. Lattices at resolutions of {sizes} m: "
-        f"{results.grids[0].name}, and the others with cells of the same area and, marked (radius), with the same covering "
-        "radius, which takes fewer cells. All look for the same scans from the same starts. Times are in a report of their "
+        f"{results.grids[0].name}, and the others with cells of the same area and, marked (radius), with the same "
+        "covering "
+        "radius, which takes fewer cells. All look for the same scans from the same starts, with the lattices turned "
+        "against the "
+        f"map's frame by {', '.join(f'{t:g}' for t in s.turns)}° in turn, because walls along the axes of a lattice "
+        "are a case "
+        "of their own. Times are in a report of their "
         "own, in the folder times."
     )
 
@@ -71,14 +76,16 @@ def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
     base = comparisons[0].base
     report.table(
         "outcomes", list(rows.values()), ["measure", *(f"{n} {e} {r:g} m" for n, e, r in columns)],
-        caption=f"Whether a lattice wins or loses against {base} of the same resolution on the same scans, at equal cell "
+        caption=f"Whether a lattice wins or loses against {base} of the same resolution on the same scans, at equal "
+        "cell "
         "area (cell) and at equal covering radius (radius). Even: the data do not decide it.",
     )  # fmt: skip
     report.table(
         "comparisons",
         [
             {
-                "measure": c.measure.label, "m": c.resolution, "lattice": c.rival, "equal": c.equal, "its value": c.there,
+                "measure": c.measure.label, "m": c.resolution, "lattice": c.rival, "equal": c.equal,
+                "its value": c.there,
                 f"{base}'s": c.here, "is": "times" if c.measure.ratio else "difference", "95 % interval": c.interval,
                 "pairs": c.pairs, "outcome": {"tie": "even"}.get(c.outcome, c.outcome),
             }
@@ -86,7 +93,8 @@ def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
         ],
         formats={"95 % interval": lambda i: f"{i.value:+.3f} [{i.low:+.3f}, {i.high:+.3f}]", "its value": ".3g",
                  f"{base}'s": ".3g", "m": "g"},
-        caption="All comparisons: ratio or difference of the paired values with its bootstrap interval (BCa; of stretches "
+        caption="All comparisons: ratio or difference of the paired values with its bootstrap interval (BCa; of "
+        "stretches "
         "of the log where neighbouring scans are alike).",
     )  # fmt: skip
 
@@ -106,7 +114,8 @@ def _add_global(report: Report, results: Results) -> None:
     report.heading("Anywhere: single scans without a start")
     report.paragraph(
         "The whole map and all yaws are searched with a certificate, which a search may miss only where it stops at "
-        f"{results.settings.node_limit:,} nodes. The angle set is that of Cartographer's matcher (the step that moves the "
+        f"{results.settings.node_limit:,} nodes. The angle set is that of Cartographer's matcher (the step that moves "
+        "the "
         "farthest point by a resolution), with the same score, map and search over shifts."
     )
     rows = []
@@ -126,13 +135,17 @@ def _add_global(report: Report, results: Results) -> None:
     report.table(
         "global", rows, formats={**_success_formats(), "certified": ".0%", "error m": ".3f", "error °": ".2f",
                                  "risk area": ".3f", "nodes, median": ",.0f", "m": "g"},
-        caption="Share of scans found within metres and degrees of the reference, median errors of those found (1 m, 5°), "
-        "and the area under the risk over the coverage by the certified margin (0: right answers are always the surest).",
+        caption="Share of scans found within metres and degrees of the reference, median errors of those found (1 m, "
+        "5°), "
+        "and the area under the risk over the coverage by the certified margin (0: right answers are always the "
+        "surest).",
     )  # fmt: skip
     report.figure("success", figures.success_curves(results, "global"),
                   "Share of scans whose pose is within so many metres of the reference, and 5°.")  # fmt: skip
-    report.figure("risk", figures.risk_curves(results),
-                  "Share of wrong answers (beyond 1 m or 5°) among the surest ones, over the share that is answered.")  # fmt: skip
+    report.figure(
+        "risk", figures.risk_curves(results),
+        "Share of wrong answers (beyond 1 m or 5°) among the surest ones, over the share that is answered.",
+    )  # fmt: skip
 
 
 def _success_columns(rows: Sequence[Row], seed: int) -> Row:
@@ -157,10 +170,12 @@ def _add_local(report: Report, results: Results) -> None:
             })  # fmt: skip
     report.table(
         "local", rows, formats={**_success_formats(), "error m": ".3f", "m": "g"},
-        caption=f"Share of scans matched from perturbed starts, in a window of {s.window[0]:g} m and {s.window[1]:g}° to all "
+        caption=f"Share of scans matched from perturbed starts, in a window of {s.window[0]:g} m and {s.window[1]:g}° "
+        "to all "
         "sides; starts outside it cannot be mended and say what chance gives.",
     )  # fmt: skip
-    report.figure("local", figures.local_curves(results), "Share of scans matched within 0.1 m and 1° by how far off the "
+    report.figure("local", figures.local_curves(results), "Share of scans matched within 0.1 m and 1° by how far off "
+    "the "
                   "start was.")  # fmt: skip
 
 
@@ -176,7 +191,9 @@ def _add_runs(report: Report, results: Results) -> None:
             good = is_right(mine, THRESHOLDS[1])
             at_end = [bool(run[-1]["answered"] and is_right(run[-1:], THRESHOLDS[1])[0]) for run in runs]
             first = [
-                next((i + 1 for i, row in enumerate(run) if row["answered"] and is_right([row], THRESHOLDS[1])[0]), None)
+                next(
+                    (i + 1 for i, row in enumerate(run) if row["answered"] and is_right([row], THRESHOLDS[1])[0]), None
+                )
                 for run in runs
             ]
             found = [v for v in first if v is not None]
@@ -190,8 +207,10 @@ def _add_runs(report: Report, results: Results) -> None:
     report.table(
         "runs", rows, formats={"right at the end": ".0%", "scans answered": ".0%", "of those within 0.25 m, 2°": ".0%",
                                "beyond 1 m or 5°": ".1%", "m": "g"},
-        caption=f"Robots that wake up at {len(rows) and rows[0]['runs']} instants and see up to {s.length} held-out scans "
-        "each. The localiser answers once one place stands out; the filter counts as having answered where one cluster holds "
+        caption=f"Robots that wake up at {len(rows) and rows[0]['runs']} instants and see up to {s.length} held-out "
+        "scans "
+        "each. The localiser answers once one place stands out; the filter counts as having answered where one cluster "
+        "holds "
         "95 % of its weight. Right at the end: answered, and within 0.25 m and 2°.",
     )  # fmt: skip
     report.figure("runs", figures.run_curves(results), "Share of robots with a right answer (0.25 m, 2°) after so many "
@@ -215,8 +234,10 @@ def _add_maps(report: Report, results: Results) -> None:
     )  # fmt: skip
     report.table(
         "maps", rows, formats={"held-out points on walls": ".1%", "m": "g"},
-        caption="The log without its held-out scans, mapped on each grid by the map maker: the share of points of held-out "
-        f"scans that meet its walls, and the distance from {words}, after one rigid alignment. Larger cells are met more "
+        caption="The log without its held-out scans, mapped on each grid by the map maker: the share of points of "
+        "held-out "
+        f"scans that meet its walls, and the distance from {words}, after one rigid alignment. Larger cells are met "
+        "more "
         "often: compare within a resolution.",
     )  # fmt: skip
 
@@ -234,7 +255,8 @@ def _add_rotation(report: Report, results: Results) -> None:
     report.table(
         "rotation", rows, formats={"mean score": ".3f", "sigma / mu": ".2%", "m": "g"},
         caption="A held-out scan and the scans around it are turned together and shifted at random, "
-        f"{s.rotations} times, and the share of its points that meet a cell of theirs is taken at the true pose. Nothing "
+        f"{s.rotations} times, and the share of its points that meet a cell of theirs is taken at the true pose. "
+        "Nothing "
         "but the lattice changes.",
     )  # fmt: skip
 
@@ -252,7 +274,8 @@ def _add_learning(report: Report, results: Results) -> None:
         rows.append(row)
     report.table(
         "learning", rows, formats={grid.label: ".0%" for grid in grids},
-        caption=f"Share of {s.learning_scans} scans found anywhere within 1 m and 5° at {s.learning_resolution:g} m: with a "
+        caption=f"Share of {s.learning_scans} scans found anywhere within 1 m and 5° at {s.learning_resolution:g} m: "
+        "with a "
         "share of the scans in the map, a share of the beams, points up to a range (m), and after a share of the map's "
         "walls has gone or moved (squares of a metre, the same on every lattice).",
     )  # fmt: skip
@@ -272,37 +295,48 @@ def _add_calibration(report: Report, results: Results) -> None:
             if not len(nes):
                 continue
             rows.append({
-                **_grid_columns(grid), "answers of": method, "right answers": len(nes), "NES, median": float(np.median(nes)),
+                **_grid_columns(grid), "answers of": method, "right answers": len(nes),
+                "NES, median": float(np.median(nes)),
                 "NES, mean": float(nes.mean()), **{f"{p} %": float((nes <= r).mean()) for p, r in _RADII},
             })  # fmt: skip
     if rows:
         report.heading("Calibration")
         report.table(
-            "calibration", rows, formats={**{f"{p} %": ".0%" for p, _ in _RADII}, "NES, median": ".2f", "NES, mean": ".1f",
-                                          "m": "g"},
-            caption="Errors of right answers (1 m, 5°) squared and normalised by the covariance that came with them: of three "
-            "degrees of freedom, 3 on average and 2.37 in the median; and how many lie inside the ellipses of 50, 90 and "
+            "calibration", rows,
+            formats={**{f"{p} %": ".0%" for p, _ in _RADII}, "NES, median": ".2f", "NES, mean": ".1f", "m": "g"},
+            caption="Errors of right answers (1 m, 5°) squared and normalised by the covariance that came with them: "
+            "of three "
+            "degrees of freedom, 3 on average and 2.37 in the median; and how many lie inside the ellipses of 50, 90 "
+            "and "
             "95 %. Errors of the reference count as errors here.",
         )  # fmt: skip
 
 
 def _limits(results: Results) -> list[str]:
     s, f = results.settings, FilterSettings()
-    held = {"every": "Held-out scans lie between scans of the map, some decimetres from them: this is easier than to come "
+    held = {"every": "Held-out scans lie between scans of the map, some decimetres from them: this is easier than to "
+    "come "
             "back another day (--test takes another run)."}  # fmt: skip
     out = [held[s.split]] if s.split in held and not results.world.run.any() else []
     out.append(
-        "The particle filter is AMCL's: likelihood field on the same cells (sigma "
-        f"{f.sigma_hit:g} m, up to {f.farthest:g} m, z_hit {f.z_hit:g}, z_rand {f.z_rand:g} over {f.range:g} m, third powers "
-        f"added up, {f.beams} beams), KLD-sampling (error {f.error:g}, quantile {f.quantile:g}, bins of {f.cell_metres:g} m and "
-        f"{np.degrees(f.cell_radians):g}°, {f.least:,} to {f.most:,} particles), odometry noise alpha "
-        f"{', '.join(f'{a:g}' for a in f.alpha)}, updates after {f.step_metres:g} m or {np.degrees(f.step_radians):.1f}°, recovery "
-        f"alphas {f.slow:g} and {f.fast:g}, spread over all free cells at first. It was not tuned to the log, nor were the "
-        "others."
+        "The particle filter is as AMCL's: a likelihood field on the same cells (sigma "
+        f"{f.sigma_hit:g} m, up to {f.farthest:g} m, z_hit {f.z_hit:g}, z_rand {f.z_rand:g} over {f.range:g} m, "
+        f"{f.beams} beams "
+        f"that count as {f.independent:g} independent ones), KLD-sampling (error {f.error:g}, quantile {f.quantile:g}, "
+        "bins of "
+        f"{f.cell_metres:g} m and {np.degrees(f.cell_radians):g}°, {f.least:,} to {f.most:,} particles), odometry "
+        "noise alpha "
+        f"{', '.join(f'{a:g}' for a in f.alpha)}, updates after {f.step_metres:g} m or "
+        f"{np.degrees(f.step_radians):.1f}°, recovery "
+        f"alphas {f.slow:g} and {f.fast:g}, spread over all free cells at first. AMCL's own sum of third powers and "
+        "alphas of "
+        "0.2 did worse on simulated buildings. Nothing was tuned to the log, of the filter or of the others."
     )
     out.append(
-        "Intervals treat the scans of one log as a sample of what the robot may see in this place; they say nothing of other "
+        "Intervals treat the scans of one log as a sample of what the robot may see in this place; they say nothing of "
+        "other "
         "places. Runs overlap little but share one map."
     )
-    return [*out, f"{EQUAL_WORDS['radius'].capitalize()} a lattice has larger cells, so it may win in nodes and lose in "
+    return [*out, f"{EQUAL_WORDS['radius'].capitalize()} a lattice has larger cells, so it may win in nodes and lose "
+    "in "
             "precision for that alone."]  # fmt: skip

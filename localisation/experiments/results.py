@@ -65,7 +65,7 @@ def is_right(rows: Sequence[Row], threshold: tuple[float, float] = THRESHOLDS[-1
 
 
 def confidence(rows: Sequence[Row]) -> FloatArray:
-    """Return how sure each answer (K,) is: of what a run says, or the margin and, where margins are equal, the score."""
+    """Return how sure each answer (K,) is: what a run says, or the margin and, of equal margins, the score."""
     if rows and "confidence" in rows[0]:
         return column(rows, "confidence")
     if rows and "margin" in rows[0]:

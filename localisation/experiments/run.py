@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,14 +109,12 @@ def localisation_experiment(
     def run(function: Any, cases: list[Case], shared: Mapping[str, Any]) -> list[dict[str, Any]]:
         return run_cases(function, cases, shared=shared, folder=folder, seed=settings.seed, fingerprint=code)
 
-    world = read_world(
-        log, settings, run, poses=poses, test=test, test_poses=test_poses, associate=associate
-    )
+    world = read_world(log, settings, run, poses=poses, test=test, test_poses=test_poses, associate=associate)
     grids = settings.grids()
     cases = plan_cases(world, settings, grids)
     shared = {
         **world.shared(),
-        "bases": [grid.lattice.basis.tolist() for grid in grids],
+        "bases": settings.bases(),
         "node_limit": settings.node_limit,
         "perturbations": [list(v) for v in settings.perturbations],
         "window": list(settings.window),
@@ -131,8 +130,11 @@ def localisation_experiment(
     for case, result in zip(cases, found, strict=True):
         grid = grids[case["grid"]]
         about = {"task": case["task"], "grid": grid.number, "lattice": grid.name, "resolution": grid.resolution,
-                 "equal": grid.equal}  # fmt: skip
+                 "equal": grid.equal, "turn": settings.turns[case["turn"]]}  # fmt: skip
         rows += [{**about, **row} for row in result["rows"]]
+    # In the order of the log again, on every grid, whatever the turns: neighbours are alike.
+    order = {task: k for k, task in enumerate(settings.tasks)}
+    rows.sort(key=lambda row: (order[row["task"]], row["grid"], row.get("start", row["scan"]), row.get("step", 0)))
     results = Results(settings, world, grids, rows)
     return ExperimentOutcome(make_report(results, command), make_times(results, command), results)
 
@@ -143,29 +145,33 @@ def plan_cases(world: World, settings: ExperimentSettings, grids: list[Grid]) ->
     many, few = _spread(tests, settings.scans).tolist(), _spread(tests, settings.learning_scans).tolist()
     length = min(settings.length, len(tests))
     starts = np.unique(np.linspace(0, len(tests) - length, settings.starts).astype(np.int64)).tolist()
+    turns = range(len(settings.turns))
     out: list[Case] = []
-    for grid in grids:
+    for grid, turn in itertools.product(grids, turns):
+        about = {"grid": grid.number, "turn": turn}
+        mine = many[turn :: len(turns)]
         for task in settings.tasks:
             if task == "localise":
                 out += [
-                    {"task": task, "grid": grid.number, "scans": tests[s : s + length].tolist()} for s in starts
+                    {**about, "task": task, "scans": tests[s : s + length].tolist()} for s in starts[turn :: len(turns)]
                 ]
             elif task == "mapping":
-                out.append({"task": task, "grid": grid.number, "scans": many})
+                out += [{**about, "task": task, "scans": mine}] if mine else []
             elif task != "learning":
-                out += [{"task": task, "grid": grid.number, "scans": part} for part in _parts(many, _CHUNKS[task])]
-    for grid in grids if "learning" in settings.tasks else []:
+                out += [{**about, "task": task, "scans": part} for part in _parts(mine, _CHUNKS[task])]
+    for grid, turn in itertools.product(grids if "learning" in settings.tasks else [], turns):
         if grid.resolution == settings.learning_resolution:
             for axis, value in _learning_points(settings):
-                point = {"task": "learning", "grid": grid.number, "axis": axis, "value": value}
-                out += [{**point, "scans": part} for part in _parts(few, _CHUNKS["learning"])]
+                point = {"task": "learning", "grid": grid.number, "turn": turn, "axis": axis, "value": value}
+                out += [{**point, "scans": part} for part in _parts(few[turn :: len(turns)], _CHUNKS["learning"])]
     return out
 
 
 def _learning_points(settings: ExperimentSettings) -> list[tuple[str, float]]:
     """Return the points of the learning curves: the axis and the value on it; the whole of everything first."""
-    points = [("whole", 1.0)]
-    points += [("scans", v) for v in settings.shares] + [("beams", v) for v in settings.shares]
+    # What needs the same map first.
+    points = [("whole", 1.0), *(("beams", v) for v in settings.shares)]
+    points += [("scans", v) for v in settings.shares]
     points += [("range", v) for v in settings.ranges] + [("changed", v) for v in settings.changes]
     return points
 

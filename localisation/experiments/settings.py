@@ -10,8 +10,9 @@ import numpy as np
 
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
+from hexmap.poses.pose import Pose
 
-__all__ = ["LEARNING_AXES", "THRESHOLDS", "TASKS", "ExperimentSettings", "Grid", "quick"]
+__all__ = ["LEARNING_AXES", "TASKS", "THRESHOLDS", "ExperimentSettings", "Grid", "quick"]
 
 THRESHOLDS = ((0.1, 1.0), (0.25, 2.0), (1.0, 5.0))
 """Metres and degrees within which a pose counts as right."""
@@ -67,6 +68,9 @@ class ExperimentSettings:
         shares: of the scans in the map and of the beams kept, for learning curves; 1 is added.
         ranges: metres beyond which points are left out, for learning curves; no limit is added.
         changes: shares of the map that change, for learning curves; 0 is added.
+        turns: degrees by which the lattices are turned against the map's frame. Walls along the axes of a lattice are
+            a case of their own, and frames often lie along walls: every scan is looked for at one of these turns, the
+            same on every lattice, one after the other.
         rotations: of map and scan together, for the variability of the score.
         max_range: metres beyond which points are left out everywhere; None: none.
         seed: of everything that is drawn.
@@ -87,6 +91,7 @@ class ExperimentSettings:
     shares: tuple[float, ...] = (0.5, 0.25, 0.1)
     ranges: tuple[float, ...] = (8.0, 4.0, 2.0)
     changes: tuple[float, ...] = (0.1, 0.25, 0.5)
+    turns: tuple[float, ...] = (0.0, 17.0, 31.0)
     rotations: int = 36
     max_range: float | None = None
     seed: int = 0
@@ -120,6 +125,8 @@ class ExperimentSettings:
                 raise ArgumentError(f"the setting {name} takes shares between 0 and 1, not {getattr(self, name)}")
         if not all(r > 0.0 for r in (*self.ranges, self.max_range or 1.0)):
             raise ArgumentError(f"ranges must be positive numbers of metres, not {self.ranges} and {self.max_range}")
+        if not self.turns or not all(math.isfinite(t) for t in self.turns):
+            raise ArgumentError(f"turns must be numbers of degrees, not {self.turns}")
         if self.seed < 0:
             raise ArgumentError(f"the seed must be 0 or larger, not {self.seed}")
         names = [grid.label for grid in self.grids() if grid.resolution == self.resolutions[0]]
@@ -147,6 +154,11 @@ class ExperimentSettings:
                     factor = base.covering_radius / same_cell.covering_radius
                     out.append(Grid(len(out), same_cell.scaled(factor), name, r, "radius"))
         return out
+
+    def bases(self) -> list[list[list[list[float]]]]:
+        """Return the basis of every grid at every turn."""
+        turned = [Pose.planar(0.0, 0.0, math.radians(t)).rotation for t in self.turns]
+        return [[(R @ grid.lattice.basis).tolist() for R in turned] for grid in self.grids()]
 
     @property
     def learning_resolution(self) -> float:

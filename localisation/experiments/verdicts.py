@@ -68,16 +68,19 @@ def _verdict(claim: str, about: Sequence[Comparison]) -> Verdict:
     )
     return Verdict(
         claim, _section(about[0]), outcome,
-        "holds where every comparison is won, in part where more are won than lost, else not; won: the 95 % interval of "
-        "the pairs leaves out no difference and, for shares, an exact sign test has p <= 0.05",
+        "holds where every comparison is won, in part where more are won than lost, else not",
         evidence,
     )  # fmt: skip
 
 
 def _section(c: Comparison) -> str:
-    return {"global": "Anywhere", "local": "Near a start", "localise": "Runs", "mapping": "Maps", "rotation": "Rotation"}[
-        c.measure.task
-    ]
+    return {
+        "global": "Anywhere",
+        "local": "Near a start",
+        "localise": "Runs",
+        "mapping": "Maps",
+        "rotation": "Rotation",
+    }[c.measure.task]
 
 
 def _words(c: Comparison) -> str:
@@ -92,13 +95,16 @@ def summary(comparisons: Sequence[Comparison]) -> str:
         mine = [c for c in comparisons if (c.rival, c.equal) == (rival, equal)]
         counts = [sum(c.outcome == which for c in mine) for which in ("win", "tie", "lose")]
         text.append(
-            f"{rival} against {base} {EQUAL_WORDS[equal]}: {counts[0]} of {len(mine)} comparisons won, {counts[1]} even, "
+            f"{rival} against {base} {EQUAL_WORDS[equal]}: {counts[0]} of {len(mine)} comparisons won, {counts[1]} "
+            "even, "
             f"{counts[2]} lost"
         )
     total = len(comparisons)
     return (
-        f"{'; '.join(text)}. Of {total} comparisons at the 95 % level about {round(0.05 * total)} would be decided by chance "
-        "alone where nothing differs, half of them either way, and many of them are about the same scans: look for what is "
+        f"{'; '.join(text)}. Of {total} comparisons at the 95 % level about {round(0.05 * total)} would be decided by "
+        "chance "
+        "alone where nothing differs, half of them either way, and many of them are about the same scans: look for "
+        "what is "
         "won at every resolution."
     )
 
@@ -132,7 +138,8 @@ def _against_angle_set(results: Results) -> list[Verdict]:
         evidence.append(f"{grid.label} {grid.resolution:g} m {a.mean():.0%} and {b.mean():.0%}")
     return [
         Verdict(
-            "A search over all real angles finds more scans within 0.1 m and 1° than one over Cartographer's set of angles",
+            "A search over all real angles finds more scans within 0.1 m and 1° than one over Cartographer's set of "
+            "angles",
             "Anywhere", "holds" if won == len(results.grids) else "holds in part" if won > lost else "does not hold",
             "exact sign test on every grid: holds where all have p <= 0.05, in part where more are won than lost",
             "; ".join(evidence),
@@ -149,7 +156,9 @@ def _against_filter(results: Results) -> list[Verdict]:
         for method in ("localiser", "particle filter"):
             rows = results.select(task="localise", grid=grid.number, method=method)
             last = {row["start"]: row for row in rows}
-            ends.append(np.array([row["answered"] and is_right([row], THRESHOLDS[1])[0] for row in last.values()], float))
+            ends.append(
+                np.array([row["answered"] and is_right([row], THRESHOLDS[1])[0] for row in last.values()], float)
+            )
         a, b = ends
         if not len(a):
             return []

@@ -94,7 +94,7 @@ class World:
     @property
     def known(self) -> NDArray[np.bool_]:
         """(K,) whether the pose of each scan is known."""
-        return ~np.isnan(self.poses).any(axis=1)
+        return np.asarray(~np.isnan(self.poses).any(axis=1))
 
     def map_scans(self) -> IntArray:
         """Return the numbers of the scans that go into maps."""
@@ -217,9 +217,11 @@ def read_world(
     words = (
         f"Errors are measured against the poses given for {log.path.name}."
         if poses is not None
-        else f"No poses were given for {log.path.name}: errors are measured against those that the map maker itself finds "
+        else f"No poses were given for {log.path.name}: errors are measured against those that the map maker itself "
+        "finds "
         "with all of its scans and its defaults, so they say how well scans are found in the maps of this project, and "
-        "not how true those are; it builds them on its default lattice, which may favour that one below some centimetres."
+        "not how true those are; it builds them on its default lattice, which may favour that one below some "
+        "centimetres."
     )
     for found in built:
         world = replace(world, poses=np.where(np.isnan(world.poses), _rows(found["poses"]), world.poses))
@@ -249,10 +251,8 @@ def _held_out(world: World, settings: ExperimentSettings) -> NDArray[np.bool_]:
 
 def _read(log: Log, poses: Trajectory | None, run: int, associate: str | None, settings: ExperimentSettings) -> World:
     """Return the scans of one log."""
-    events: Iterator[tuple[Event, Pose | None]]
-    if poses is None:
-        events = ((event, None) for event in log)
-    else:
+    events: Iterator[tuple[Event, Pose | None]] = ((event, None) for event in log)
+    if poses is not None:
         events = readings_at_poses(log, poses, associate=associate)
     reading: Pose | None = None
     scans: list[FloatArray] = []

@@ -16,7 +16,7 @@ from hexmap.lattice._kernels import quantise_2d
 
 
 class Field(NamedTuple):
-    """What a beam that ends in a cell adds to a particle's weight.
+    """What a beam that ends in a cell adds to a particle's log-likelihood.
 
     Attributes:
         values: flat, row by row of the box of cells.
@@ -33,7 +33,7 @@ class Field(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def weigh(particles, beams, field, quantiser, out):
-    """Write one plus what all ``beams`` (B, 2) add at each of the ``particles`` (P, 3: x, y, theta) into ``out`` (P,).
+    """Write the sum over ``beams`` (B, 2) at each of the ``particles`` (P, 3: x, y, theta) into ``out`` (P,).
 
     Returns the number of beams that end outside the range of indices; they add what lies outside the box.
     """
@@ -55,12 +55,12 @@ def weigh(particles, beams, field, quantiser, out):
             placed, q.inverse, q.gram2, q.constants, q.extra, q.extra_constants, q.to_public, q.limit, index
         )
         bad += wrong
-        weight = 1.0
+        total = 0.0
         for b in range(count):
             i0, i1 = np.int64(index[b, 0]) - low0, np.int64(index[b, 1]) - low1
             if wrong == 0 and 0 <= i0 < size0 and 0 <= i1 < size1:
-                weight += field.values[i0 * size1 + i1]
+                total += field.values[i0 * size1 + i1]
             else:
-                weight += field.beyond
-        out[k] = weight
+                total += field.beyond
+        out[k] = total
     return bad

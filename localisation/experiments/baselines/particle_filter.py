@@ -1,10 +1,12 @@
 """Monte Carlo localisation as AMCL does it, on the same map and the same scans: the baseline of a localiser.
 
 Thrun, Burgard and Fox, "Probabilistic Robotics" (2005): the sampled odometry motion model (table 5.6), a likelihood
-field (section 6.4), KLD-sampling (table 8.4) and augmented recovery (table 8.3). Where AMCL does otherwise than the
-book, this does as AMCL: the third powers of the beams' likelihoods are added up instead of multiplying the likelihoods
-(a product of neighbouring, dependent beams is far too sure of itself), an update waits until the robot has moved, and
-the answer is the mean of the cluster of particles that weighs most.
+field (section 6.4), KLD-sampling (table 8.4) and augmented recovery (table 8.3). As in AMCL an update waits until the
+robot has moved, and the answer is the mean of the cluster of particles that weighs most.
+
+Neighbouring beams are not independent, and a product of their likelihoods is far too sure of itself. AMCL adds up third
+powers instead, which tells places apart so weakly that in simulated buildings none was found within twelve scans; here
+the product is taken to a power, as if only a few beams were independent. That is in the filter's favour.
 
 Everything is determined by the arguments and the generator.
 """
@@ -30,7 +32,7 @@ __all__ = ["FilterEstimate", "FilterSettings", "LikelihoodField", "ParticleFilte
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """Settings of the filter: AMCL's defaults (nav2) where the issue is not a start without a pose.
+    """Settings of the filter: AMCL's defaults (nav2), but for those that a start without a pose needs otherwise.
 
     Attributes:
         beams: of a scan that are used, evenly spread (max_beams).
@@ -39,7 +41,10 @@ class FilterSettings:
         sigma_hit: metres by which a beam misses a wall.
         farthest: metres from a wall beyond which all is alike (laser_likelihood_max_dist).
         range: metres over which random beams spread (laser_max_range).
-        alpha: noise of the motion: turn by turn, turn by metres, metres by metres, metres by turn.
+        independent: as how many independent beams a scan counts. Of 4, 8 and 16 the first found most robots in the
+            simulated office, with any start: more are sure of a wrong place before the right one has a particle.
+        alpha: variances of the motion's noise, 20 % of each update (AMCL's 0.2 is 45 %, which is a very bad robot):
+            turn by turn, turn by metres, metres by metres, metres by turn.
         least: particles at the least, and
         most: at the most. AMCL's defaults are 500 and 2000, too few for a whole building: more is in its favour.
         error: largest error between true and estimated distribution (pf_err).
@@ -58,7 +63,8 @@ class FilterSettings:
     sigma_hit: float = 0.2
     farthest: float = 2.0
     range: float = 100.0
-    alpha: tuple[float, float, float, float] = (0.2, 0.2, 0.2, 0.2)
+    independent: float = 4.0
+    alpha: tuple[float, float, float, float] = (0.04, 0.04, 0.04, 0.04)
     least: int = 500
     most: int = 10_000
     error: float = 0.05
@@ -113,20 +119,19 @@ class LikelihoodField:
         centres = self.lattice.centres(box.cells())
         distance = tree.query(centres, distance_upper_bound=settings.farthest)[0]
         distance = np.minimum(distance, settings.farthest)
-        values = self.third_power(distance, settings)
-        beyond = float(self.third_power(np.array([settings.farthest]), settings)[0])
+        values = self.log_likelihood(distance, settings)
+        beyond = float(self.log_likelihood(np.array([settings.farthest]), settings)[0])
         self.box = box
         self.field = kernels.Field(np.ascontiguousarray(values), box.low, box.shape, beyond)
 
     @staticmethod
-    def third_power(distance: FloatArray, settings: FilterSettings) -> FloatArray:
-        """Return the third power of a beam's likelihood at a distance from the nearest wall, metres."""
+    def log_likelihood(distance: FloatArray, settings: FilterSettings) -> FloatArray:
+        """Return the logarithm of a beam's likelihood at a distance from the nearest wall, metres."""
         s = settings
-        p = s.z_hit * np.exp(-0.5 * (distance / s.sigma_hit) ** 2) + s.z_rand / s.range
-        return np.asarray(p**3)
+        return np.asarray(np.log(s.z_hit * np.exp(-0.5 * (distance / s.sigma_hit) ** 2) + s.z_rand / s.range))
 
     def weigh(self, particles: FloatArray, beams: FloatArray) -> FloatArray:
-        """Return the weight (P,) of particles (P, 3) by the ends of beams (B, 2) in the robot's frame."""
+        """Return the log-likelihood (P,) of particles (P, 3) by the ends of beams (B, 2) in the robot's frame."""
         from localisation.experiments.baselines import _particle_kernels as kernels
 
         out = np.empty(len(particles))
@@ -166,7 +171,7 @@ class ParticleFilter:
         else:
             pose, metres, radians = start
             noise = rng.standard_normal((self.settings.most, 3)) * [metres, metres, radians]
-            self.particles = noise + [pose.x, pose.y, pose.theta]
+            self.particles = noise + np.array([pose.x, pose.y, pose.theta])
         self.weights = np.full(len(self.particles), 1.0 / len(self.particles))
         self._slow = self._fast = 0.0
         self._T_odom_robot: Pose | None = None
@@ -222,9 +227,12 @@ class ParticleFilter:
     def _measure(self, beams: FloatArray) -> None:
         """Weigh the particles by a scan, and follow how well the map fits."""
         s = self.settings
-        weights = self.weights * self.field.weigh(self.particles, beams)
+        independent = min(1.0, s.independent / len(beams))
+        likelihood = self.field.weigh(self.particles, beams) * independent
+        most = float(likelihood.max())
+        weights = self.weights * np.exp(likelihood - most)
         total = float(weights.sum())
-        average = total / len(weights)
+        average = total * math.exp(most)
         self._slow = average if self._slow == 0.0 else self._slow + s.slow * (average - self._slow)
         self._fast = average if self._fast == 0.0 else self._fast + s.fast * (average - self._fast)
         self.weights = weights / total
@@ -283,7 +291,9 @@ class ParticleFilter:
         heading = math.atan2(float((w * np.sin(theta)).sum()), float((w * np.cos(theta)).sum()))
         off = np.stack([x - mean[0], y - mean[1], wrap_angle(theta - heading)])
         covariance = np.array([[float((w * a * b).sum()) for b in off] for a in off])
-        return FilterEstimate(Pose.planar(*mean, heading), covariance, float(heavy.max()), len(self.particles))
+        return FilterEstimate(
+            Pose.planar(mean[0], mean[1], heading), covariance, float(heavy.max()), len(self.particles)
+        )
 
 
 def kld_limit(bins: IntArray, error: float, quantile: float) -> FloatArray:
