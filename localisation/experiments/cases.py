@@ -40,6 +40,8 @@ Shared: TypeAlias = Mapping[str, Any]
 
 # Scans of the map around a scan that make its surroundings in the measurement under rotation.
 _AROUND = 8
+# Of a covariance, squared metres or radians: rounding.
+_LEAST_VARIANCE = 1e-14
 
 
 def experiment_case(case: Row, rng: np.random.Generator, shared: Shared) -> Row:
@@ -64,7 +66,8 @@ def _errors(found: Pose | None, true: Pose, covariance: FloatArray | None) -> Ro
         return {"metres": None, "degrees": None, "nes": None}
     off, metres, degrees = pose_error(found, true)
     nes = None
-    if covariance is not None:
+    # A single particle has no covariance.
+    if covariance is not None and float(np.linalg.eigvalsh(covariance)[0]) > _LEAST_VARIANCE:
         nes = float(off @ np.linalg.solve(covariance, off))
     return {"metres": metres, "degrees": degrees, "nes": nes}
 

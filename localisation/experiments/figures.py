@@ -23,6 +23,11 @@ _AXIS_WORDS = {
 }  # fmt: skip
 
 
+def _width(results: Results, grid: Grid, width: float = 1.6) -> float:
+    """Return the width of a line: the first lattice's is wider, to be seen under an equal one."""
+    return width if grid.name != results.grids[0].name else 2.2 * width
+
+
 def _colour(results: Results, grid: Grid) -> str:
     names = list(dict.fromkeys(g.name for g in results.grids))
     return COLOURS[names.index(grid.name) % len(COLOURS)]
@@ -50,7 +55,7 @@ def _panels(results: Results, draw: Callable[[Any, Grid], None], across: str, up
 
 def success_curves(results: Results, task: str) -> Figure:
     """Return the share of scans found over the distance that is allowed."""
-    metres = np.geomspace(0.01, 2.0, 120)
+    metres = np.geomspace(0.003, 2.0, 150)
 
     def draw(panel: Any, grid: Grid) -> None:
         for method, width in (("all angles", 1.6), ("angle set", 0.8)):
@@ -58,7 +63,7 @@ def success_curves(results: Results, task: str) -> Figure:
             off = np.where(column(rows, "degrees") <= THRESHOLDS[-1][1], column(rows, "metres"), np.inf)
             panel.semilogx(
                 metres, [float((off <= m).mean()) for m in metres], _STYLES[grid.equal], color=_colour(results, grid),
-                linewidth=width, label=grid.label if method == "all angles" else f"{grid.label}, angle set",
+                linewidth=_width(results, grid, width), label=grid.label if method == "all angles" else f"{grid.label}, angle set",
             )  # fmt: skip
         panel.set_ylim(0.0, 1.02)
         panel.set_xticks([0.01, 0.1, 1.0], ["0.01", "0.1", "1"])
@@ -75,7 +80,7 @@ def risk_curves(results: Results) -> Figure:
         wrong = 1.0 - is_right(rows)[order]
         taken = np.arange(1, len(wrong) + 1)
         panel.plot(taken / len(wrong), np.cumsum(wrong) / taken, _STYLES[grid.equal], color=_colour(results, grid),
-                   label=grid.label)  # fmt: skip
+                   linewidth=_width(results, grid), label=grid.label)  # fmt: skip
         panel.set_xlim(0.0, 1.0)
         panel.set_ylim(-0.02, max(0.3, panel.get_ylim()[1]))
 
@@ -91,7 +96,8 @@ def local_curves(results: Results) -> Figure:
             float(is_right(results.select(task="local", grid=grid.number, size=k), THRESHOLDS[0]).mean())
             for k in range(len(sizes))
         ]
-        panel.plot(sizes, shares, _STYLES[grid.equal], marker="o", color=_colour(results, grid), label=grid.label)
+        panel.plot(sizes, shares, _STYLES[grid.equal], marker="o", color=_colour(results, grid), label=grid.label,
+                   linewidth=_width(results, grid))  # fmt: skip
         panel.set_ylim(0.0, 1.02)
 
     return _panels(results, draw, "start off by, m", "share of scans")
@@ -108,7 +114,7 @@ def run_curves(results: Results) -> Figure:
             along = np.unique(steps)
             label = grid.label if method == "localiser" else f"{grid.label}, filter"
             panel.plot(along + 1, [float(good[steps == k].mean()) for k in along], _STYLES[grid.equal],
-                       color=_colour(results, grid), linewidth=width, label=label)  # fmt: skip
+                       color=_colour(results, grid), linewidth=_width(results, grid, width), label=label)  # fmt: skip
         panel.set_ylim(0.0, 1.02)
 
     return _panels(results, draw, "scans seen", "share of robots")
@@ -134,7 +140,7 @@ def learning_curves(results: Results) -> Figure:
                     where = {"axis": "whole"} if whole else {"axis": axis, "value": value}
                     shares.append(float(is_right(results.select(task="learning", grid=grid.number, **where)).mean()))
                 panel.plot(points[axis], shares, _STYLES[grid.equal], marker="o", color=_colour(results, grid),
-                           label=grid.label)  # fmt: skip
+                           label=grid.label, linewidth=_width(results, grid))  # fmt: skip
             panel.set_xlabel(_AXIS_WORDS[axis])
             panel.set_ylim(0.0, 1.02)
         panels[0].set_ylabel("share of scans")
