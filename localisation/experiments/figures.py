@@ -63,7 +63,8 @@ def success_curves(results: Results, task: str) -> Figure:
             off = np.where(column(rows, "degrees") <= THRESHOLDS[-1][1], column(rows, "metres"), np.inf)
             panel.semilogx(
                 metres, [float((off <= m).mean()) for m in metres], _STYLES[grid.equal], color=_colour(results, grid),
-                linewidth=_width(results, grid, width), label=grid.label if method == "all angles" else f"{grid.label}, angle set",
+                linewidth=_width(results, grid, width),
+                label=grid.label if method == "all angles" else f"{grid.label}, angle set",
             )  # fmt: skip
         panel.set_ylim(0.0, 1.02)
         panel.set_xticks([0.01, 0.1, 1.0], ["0.01", "0.1", "1"])

@@ -4,6 +4,7 @@ from tests.benchmarks import (
     anyangle,
     canonical,
     experiments,
+    lattice_localisation,
     localisation,
     mapping,
     optimum,
@@ -15,5 +16,5 @@ from tests.benchmarks import (
 voxels.main()
 mapping.main()
 experiments.main()
-for module in (planning, canonical, optimum, anyangle, replanning, localisation):
+for module in (planning, canonical, optimum, anyangle, replanning, localisation, lattice_localisation):
     module.main([])
