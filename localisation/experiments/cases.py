@@ -167,7 +167,10 @@ def _learning(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
 
 
 def _localise(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
-    """Wake up somewhere along the log and find out where: the localiser and the particle filter on the same scans."""
+    """Wake up somewhere along the log and find out where: the localiser and the particle filter on the same scans.
+
+    How sure the localiser is: the weight of its best hypothesis, and while it tracks one more than the overlap.
+    """
     world, prepared = World.of_shared(shared), prepare(MapKind(case["grid"], case["turn"]), shared)
     first = case["scans"][0]
     mount = world.mount(first)
@@ -191,7 +194,7 @@ def _localise(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
         answered = estimate.state is TrackState.tracking
         rows.append({
             **row, "method": "localiser", "answered": answered,
-            "confidence": 1.0 if answered else best.weight if best else 0.0,
+            "confidence": 1.0 + estimate.overlap if answered else best.weight if best else 0.0,
             **_errors(estimate.pose or (best.pose if best else None), true_robot, estimate.covariance), "cpu": cpu,
         })  # fmt: skip
         begin = time.process_time()

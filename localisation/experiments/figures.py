@@ -72,16 +72,19 @@ def success_curves(results: Results, task: str) -> Figure:
     return _panels(results, draw, "metres allowed", "share of scans")
 
 
-def risk_curves(results: Results) -> Figure:
-    """Return the share of wrong answers among the surest."""
+def risk_curves(results: Results, task: str) -> Figure:
+    """Return the share of wrong answers among the surest, of the first method of a task and thinner of the second."""
+    methods = results.methods(task)[: 1 if task == "global" else 2]
 
     def draw(panel: Any, grid: Grid) -> None:
-        rows = results.select(task="global", grid=grid.number, method="all angles")
-        order = np.argsort(-confidence(rows), kind="stable")
-        wrong = 1.0 - is_right(rows)[order]
-        taken = np.arange(1, len(wrong) + 1)
-        panel.plot(taken / len(wrong), np.cumsum(wrong) / taken, _STYLES[grid.equal], color=_colour(results, grid),
-                   linewidth=_width(results, grid), label=grid.label)  # fmt: skip
+        for method, width in zip(methods, (1.6, 0.8), strict=False):
+            rows = results.select(task=task, grid=grid.number, method=method)
+            order = np.argsort(-confidence(rows), kind="stable")
+            wrong = 1.0 - is_right(rows)[order]
+            taken = np.arange(1, len(wrong) + 1)
+            label = grid.label if method == methods[0] else f"{grid.label}, filter"
+            panel.plot(taken / len(wrong), np.cumsum(wrong) / taken, _STYLES[grid.equal], color=_colour(results, grid),
+                       linewidth=_width(results, grid, width), label=label)  # fmt: skip
         panel.set_xlim(0.0, 1.0)
         panel.set_ylim(-0.02, max(0.3, panel.get_ylim()[1]))
 

@@ -13,7 +13,7 @@ from localisation.experiments.baselines.particle_filter import FilterSettings
 from localisation.experiments.comparison import Comparison, compare_all, risk_area
 from localisation.experiments.results import Results, Row, column, confidence, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
-from localisation.experiments.verdicts import EQUAL_WORDS, interval_of, judge, summary
+from localisation.experiments.verdicts import interval_of, judge, summary
 
 __all__ = ["make_report"]
 
@@ -48,21 +48,17 @@ def make_report(results: Results, command: str = "") -> Report:
 
 def _what_was_done(results: Results) -> str:
     s, world = results.settings, results.world
-    by = {"every": f"every {s.hold_out}th scan is held out", "half": "the second half of the log is held out"}[s.split]
+    by = {"every": f"one scan in {s.hold_out} is held out", "half": "the second half of the log is held out"}[s.split]
     if world.run.any():
         by = "the scans of the other run are held out"
     sizes = ", ".join(f"{r:g}" for r in s.resolutions)
     return (
-        f"{len(world.map_scans()):,} scans make the maps and {len(world.test_scans()):,} others are there to look for: "
-        f"{by}, and no map contains a scan that is looked for in it. Lattices at resolutions of {sizes} m: "
+        f"{len(world.map_scans()):,} scans make the maps and {len(world.test_scans()):,} others are there to look "
+        f"for: {by}, and no map contains a scan that is looked for in it. Lattices at resolutions of {sizes} m: "
         f"{results.grids[0].name}, and the others with cells of the same area and, marked (radius), with the same "
-        "covering "
-        "radius, which takes fewer cells. All look for the same scans from the same starts, with the lattices turned "
-        "against the "
-        f"map's frame by {', '.join(f'{t:g}' for t in s.turns)}° in turn, because walls along the axes of a lattice "
-        "are a case "
-        "of their own. Times are in a report of their "
-        "own, in the folder times."
+        "covering radius, which takes fewer cells. All look for the same scans from the same starts, with the "
+        f"lattices turned against the map's frame by {', '.join(f'{t:g}' for t in s.turns)}° in turn, because walls "
+        "along the axes of a lattice are a case of their own. Times are in a report of their own, in the folder times."
     )
 
 
@@ -77,8 +73,7 @@ def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
     report.table(
         "outcomes", list(rows.values()), ["measure", *(f"{n} {e} {r:g} m" for n, e, r in columns)],
         caption=f"Whether a lattice wins or loses against {base} of the same resolution on the same scans, at equal "
-        "cell "
-        "area (cell) and at equal covering radius (radius). Even: the data do not decide it.",
+        "cell area (cell) and at equal covering radius (radius). Even: the data do not decide it.",
     )  # fmt: skip
     report.table(
         "comparisons",
@@ -94,8 +89,7 @@ def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
         formats={"95 % interval": lambda i: f"{i.value:+.3f} [{i.low:+.3f}, {i.high:+.3f}]", "its value": ".3g",
                  f"{base}'s": ".3g", "m": "g"},
         caption="All comparisons: ratio or difference of the paired values with its bootstrap interval (BCa; of "
-        "stretches "
-        "of the log where neighbouring scans are alike).",
+        "stretches of the log where neighbouring scans are alike).",
     )  # fmt: skip
 
 
@@ -115,8 +109,7 @@ def _add_global(report: Report, results: Results) -> None:
     report.paragraph(
         "The whole map and all yaws are searched with a certificate, which a search may miss only where it stops at "
         f"{results.settings.node_limit:,} nodes. The angle set is that of Cartographer's matcher (the step that moves "
-        "the "
-        "farthest point by a resolution), with the same score, map and search over shifts."
+        "the farthest point by a resolution), with the same score, map and search over shifts."
     )
     rows = []
     for grid in results.grids:
@@ -136,14 +129,13 @@ def _add_global(report: Report, results: Results) -> None:
         "global", rows, formats={**_success_formats(), "certified": ".0%", "error m": ".3f", "error °": ".2f",
                                  "risk area": ".3f", "nodes, median": ",.0f", "m": "g"},
         caption="Share of scans found within metres and degrees of the reference, median errors of those found (1 m, "
-        "5°), "
-        "and the area under the risk over the coverage by the certified margin (0: right answers are always the "
+        "5°), and the area under the risk over the coverage by the certified margin (0: right answers are always the "
         "surest).",
     )  # fmt: skip
     report.figure("success", figures.success_curves(results, "global"),
                   "Share of scans whose pose is within so many metres of the reference, and 5°.")  # fmt: skip
     report.figure(
-        "risk", figures.risk_curves(results),
+        "risk", figures.risk_curves(results, "global"),
         "Share of wrong answers (beyond 1 m or 5°) among the surest ones, over the share that is answered.",
     )  # fmt: skip
 
@@ -171,12 +163,12 @@ def _add_local(report: Report, results: Results) -> None:
     report.table(
         "local", rows, formats={**_success_formats(), "error m": ".3f", "m": "g"},
         caption=f"Share of scans matched from perturbed starts, in a window of {s.window[0]:g} m and {s.window[1]:g}° "
-        "to all "
-        "sides; starts outside it cannot be mended and say what chance gives.",
+        "to all sides; starts outside it cannot be mended and say what chance gives.",
     )  # fmt: skip
-    report.figure("local", figures.local_curves(results), "Share of scans matched within 0.1 m and 1° by how far off "
-    "the "
-                  "start was.")  # fmt: skip
+    report.figure(
+        "local", figures.local_curves(results),
+        "Share of scans matched within 0.1 m and 1° by how far off the start was.",
+    )  # fmt: skip
 
 
 def _add_runs(report: Report, results: Results) -> None:
@@ -203,18 +195,24 @@ def _add_runs(report: Report, results: Results) -> None:
                 "scans answered": float(answered.mean()),
                 "of those within 0.25 m, 2°": float(good[answered].mean()) if answered.any() else None,
                 "beyond 1 m or 5°": float((~is_right(mine))[answered].mean()) if answered.any() else None,
+                "risk area": float(risk_area(np.stack([is_right(mine).astype(float), confidence(mine)], axis=1))),
             })  # fmt: skip
     report.table(
         "runs", rows, formats={"right at the end": ".0%", "scans answered": ".0%", "of those within 0.25 m, 2°": ".0%",
-                               "beyond 1 m or 5°": ".1%", "m": "g"},
+                               "beyond 1 m or 5°": ".1%", "risk area": ".3f", "m": "g"},
         caption=f"Robots that wake up at {len(rows) and rows[0]['runs']} instants and see up to {s.length} held-out "
-        "scans "
-        "each. The localiser answers once one place stands out; the filter counts as having answered where one cluster "
-        "holds "
-        "95 % of its weight. Right at the end: answered, and within 0.25 m and 2°.",
+        "scans each. The localiser answers once one place stands out; the filter counts as having answered where one "
+        "cluster holds 95 % of its weight. Right at the end: answered, and within 0.25 m and 2°. Risk area: under the "
+        "risk over the coverage, all scans taken as answers in the order of the weight of the best hypothesis or "
+        "cluster.",
     )  # fmt: skip
-    report.figure("runs", figures.run_curves(results), "Share of robots with a right answer (0.25 m, 2°) after so many "
-                  "scans.")  # fmt: skip
+    report.figure(
+        "risk_runs", figures.risk_curves(results, "localise"),
+        "Share of wrong answers (beyond 1 m or 5°) among the surest ones, over the share of all scans of the runs.",
+    )  # fmt: skip
+    report.figure(
+        "runs", figures.run_curves(results), "Share of robots with a right answer (0.25 m, 2°) after so many scans."
+    )
 
 
 def _add_maps(report: Report, results: Results) -> None:
@@ -235,10 +233,8 @@ def _add_maps(report: Report, results: Results) -> None:
     report.table(
         "maps", rows, formats={"held-out points on walls": ".1%", "m": "g"},
         caption="The log without its held-out scans, mapped on each grid by the map maker: the share of points of "
-        "held-out "
-        f"scans that meet its walls, and the distance from {words}, after one rigid alignment. Larger cells are met "
-        "more "
-        "often: compare within a resolution.",
+        f"held-out scans that meet its walls, and the distance from {words}, after one rigid alignment. Larger cells "
+        "are met more often: compare within a resolution.",
     )  # fmt: skip
 
 
@@ -254,10 +250,9 @@ def _add_rotation(report: Report, results: Results) -> None:
         })  # fmt: skip
     report.table(
         "rotation", rows, formats={"mean score": ".3f", "sigma / mu": ".2%", "m": "g"},
-        caption="A held-out scan and the scans around it are turned together and shifted at random, "
-        f"{s.rotations} times, and the share of its points that meet a cell of theirs is taken at the true pose. "
-        "Nothing "
-        "but the lattice changes.",
+        caption=f"A held-out scan and the scans around it are turned together and shifted at random, {s.rotations} "
+        "times, and the share of its points that meet a cell of theirs is taken at the true pose. Nothing but the "
+        "lattice changes.",
     )  # fmt: skip
 
 
@@ -275,9 +270,8 @@ def _add_learning(report: Report, results: Results) -> None:
     report.table(
         "learning", rows, formats={grid.label: ".0%" for grid in grids},
         caption=f"Share of {s.learning_scans} scans found anywhere within 1 m and 5° at {s.learning_resolution:g} m: "
-        "with a "
-        "share of the scans in the map, a share of the beams, points up to a range (m), and after a share of the map's "
-        "walls has gone or moved (squares of a metre, the same on every lattice).",
+        "with a share of the scans in the map, a share of the beams, points up to a range (m), and after a share of "
+        "the map's walls has gone or moved (squares of a metre, the same on every lattice).",
     )  # fmt: skip
     report.figure("learning", figures.learning_curves(results), "Scans found anywhere (1 m, 5°) as less is known.")
 
@@ -305,38 +299,34 @@ def _add_calibration(report: Report, results: Results) -> None:
             "calibration", rows,
             formats={**{f"{p} %": ".0%" for p, _ in _RADII}, "NES, median": ".2f", "NES, mean": ".1f", "m": "g"},
             caption="Errors of right answers (1 m, 5°) squared and normalised by the covariance that came with them: "
-            "of three "
-            "degrees of freedom, 3 on average and 2.37 in the median; and how many lie inside the ellipses of 50, 90 "
-            "and "
-            "95 %. Errors of the reference count as errors here.",
+            "of three degrees of freedom, 3 on average and 2.37 in the median; and how many lie inside the ellipses "
+            "of 50, 90 and 95 %. Errors of the reference count as errors here.",
         )  # fmt: skip
 
 
 def _limits(results: Results) -> list[str]:
     s, f = results.settings, FilterSettings()
-    held = {"every": "Held-out scans lie between scans of the map, some decimetres from them: this is easier than to "
-    "come "
-            "back another day (--test takes another run)."}  # fmt: skip
-    out = [held[s.split]] if s.split in held and not results.world.run.any() else []
+    out = []
+    if s.split == "every" and not results.world.run.any():
+        out.append(
+            "Held-out scans lie between scans of the map, some decimetres from them: this is easier than to come back "
+            "another day (--test takes another run)."
+        )
     out.append(
-        "The particle filter is as AMCL's: a likelihood field on the same cells (sigma "
-        f"{f.sigma_hit:g} m, up to {f.farthest:g} m, z_hit {f.z_hit:g}, z_rand {f.z_rand:g} over {f.range:g} m, "
-        f"{f.beams} beams "
-        f"that count as {f.independent:g} independent ones), KLD-sampling (error {f.error:g}, quantile {f.quantile:g}, "
-        "bins of "
+        f"The particle filter is as AMCL's: a likelihood field on the same cells (sigma {f.sigma_hit:g} m, up to "
+        f"{f.farthest:g} m, z_hit {f.z_hit:g}, z_rand {f.z_rand:g} over {f.range:g} m, {f.beams} beams that count as "
+        f"{f.independent:g} independent ones), KLD-sampling (error {f.error:g}, quantile {f.quantile:g}, bins of "
         f"{f.cell_metres:g} m and {np.degrees(f.cell_radians):g}°, {f.least:,} to {f.most:,} particles), odometry "
-        "noise alpha "
-        f"{', '.join(f'{a:g}' for a in f.alpha)}, updates after {f.step_metres:g} m or "
-        f"{np.degrees(f.step_radians):.1f}°, recovery "
-        f"alphas {f.slow:g} and {f.fast:g}, spread over all free cells at first. AMCL's own sum of third powers and "
-        "alphas of "
-        "0.2 did worse on simulated buildings. Nothing was tuned to the log, of the filter or of the others."
+        f"noise alpha {', '.join(f'{a:g}' for a in f.alpha)}, updates after {f.step_metres:g} m or "
+        f"{np.degrees(f.step_radians):.1f}°, recovery alphas {f.slow:g} and {f.fast:g}, spread over all free cells at "
+        "first. AMCL's own sum of third powers and alphas of 0.2 did worse on simulated buildings. Nothing was tuned "
+        "to the log, of the filter or of the others."
     )
     out.append(
-        "Intervals treat the scans of one log as a sample of what the robot may see in this place; they say nothing of "
-        "other "
-        "places. Runs overlap little but share one map."
+        "Intervals treat the scans of one log as a sample of what the robot may see in this place; they say nothing "
+        "of other places. Runs share one map and may share scans."
     )
-    return [*out, f"{EQUAL_WORDS['radius'].capitalize()} a lattice has larger cells, so it may win in nodes and lose "
-    "in "
-            "precision for that alone."]  # fmt: skip
+    out.append(
+        "At equal covering radius a lattice has larger cells: for that alone it may win in nodes and lose in precision."
+    )
+    return out

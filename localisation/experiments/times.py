@@ -19,8 +19,7 @@ def make_times(results: Results, command: str = "") -> Report:
     report = Report(f"Localisation on lattices, times: {results.world.source}", command, results.settings.table())
     report.paragraph(
         "Processor time of the process that computed a case, one thread, in milliseconds a scan; the maps and tables "
-        "are "
-        "there before. Where other work runs beside it, times are longer; their ratios suffer less."
+        "are there before. Where other work runs beside it, times are longer; their ratios suffer less."
     )
     rows: list[dict[str, Any]] = []
     for task in results.settings.tasks:
@@ -39,9 +38,8 @@ def make_times(results: Results, command: str = "") -> Report:
                     })  # fmt: skip
     report.table(
         "times", rows, formats={"median": ",.1f", "95 %": ",.1f", "m": "g"},
-        caption="Milliseconds a scan (build: a whole mapping run), and the ratio of the medians on the same scans with "
-        "its "
-        "bootstrap interval. The first of a kind may have compiled its kernels.",
+        caption="Milliseconds a scan (build: a whole mapping run), and the ratio of the medians on the same scans "
+        "with its bootstrap interval. The first of a kind may have compiled its kernels.",
     )  # fmt: skip
     return report
 

@@ -96,16 +96,13 @@ def summary(comparisons: Sequence[Comparison]) -> str:
         counts = [sum(c.outcome == which for c in mine) for which in ("win", "tie", "lose")]
         text.append(
             f"{rival} against {base} {EQUAL_WORDS[equal]}: {counts[0]} of {len(mine)} comparisons won, {counts[1]} "
-            "even, "
-            f"{counts[2]} lost"
+            f"even, {counts[2]} lost"
         )
     total = len(comparisons)
     return (
         f"{'; '.join(text)}. Of {total} comparisons at the 95 % level about {round(0.05 * total)} would be decided by "
-        "chance "
-        "alone where nothing differs, half of them either way, and many of them are about the same scans: look for "
-        "what is "
-        "won at every resolution."
+        "chance alone where nothing differs, half of them either way, and many of them are about the same scans: look "
+        "for what is won at every resolution."
     )
 
 

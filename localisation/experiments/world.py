@@ -218,10 +218,9 @@ def read_world(
         f"Errors are measured against the poses given for {log.path.name}."
         if poses is not None
         else f"No poses were given for {log.path.name}: errors are measured against those that the map maker itself "
-        "finds "
-        "with all of its scans and its defaults, so they say how well scans are found in the maps of this project, and "
-        "not how true those are; it builds them on its default lattice, which may favour that one below some "
-        "centimetres."
+        "finds with all of its scans and its defaults, so they say how well scans are found in the maps of this "
+        "project, and not how true those are; it builds them on its default lattice, which may favour that one below "
+        "some centimetres."
     )
     for found in built:
         world = replace(world, poses=np.where(np.isnan(world.poses), _rows(found["poses"]), world.poses))
