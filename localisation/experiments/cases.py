@@ -237,8 +237,8 @@ def _mapping(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
             cells = lattice.quantise(match.pose.apply(world.scan(k)))
             overlap = float(occupancy.contains(cells.astype(np.int64)).mean())
         _, metres, degrees = pose_error(aligned @ at, world.pose(before))
-        rows.append({"scan": k, "method": "build", "overlap": overlap, "metres": metres, "degrees": degrees,
-                     "cpu": cpu if number == 0 else None})  # fmt: skip
+        rows.append({"scan": k, "run": case["turn"], "method": "build", "overlap": overlap, "metres": metres,
+                     "degrees": degrees, "cpu": cpu if number == 0 else None})  # fmt: skip
     return rows
 
 

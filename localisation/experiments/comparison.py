@@ -15,12 +15,14 @@ from hexmap.experiments.statistics import Interval, block_length, bootstrap
 from localisation.experiments.results import Results, Row, column, confidence, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
 
-__all__ = ["MEASURES", "Comparison", "Measure", "compare", "compare_all", "risk_area", "sign_test"]
+__all__ = ["MEASURES", "Comparison", "Measure", "compare", "compare_all", "permutation_test", "risk_area", "sign_test"]
 
-# Below it a sign test says that two shares differ.
+# Below it a test says that two samples differ.
 _SIGNIFICANT = 0.05
 # Intervals of fewer pairs are not made.
 _LEAST = 4
+# Pairs that are swapped in all ways.
+_ENUMERATED = 10
 
 Values: TypeAlias = FloatArray  # (K, c): the columns of K scans
 Statistic: TypeAlias = Callable[[Values], FloatArray]  # (..., K, c) -> (...)
@@ -38,7 +40,6 @@ class Measure:
         ratio: whether lattices are compared by a ratio, rather than a difference.
         values: the columns (K, c) of rows; pairs with NaN in them are left out.
         statistic: of columns.
-        binary: whether the first column is 0 or 1, so that an exact test is at hand.
         size: number of the perturbation, for local matching.
     """
 
@@ -50,7 +51,6 @@ class Measure:
     ratio: bool
     values: Callable[[Sequence[Row]], Values]
     statistic: Statistic
-    binary: bool = False
     size: int | None = None
 
 
@@ -129,10 +129,15 @@ def _risk(rows: Sequence[Row]) -> Values:
     return np.stack([is_right(rows).astype(np.float64), confidence(rows)], axis=1)
 
 
-def _runs(rows: Sequence[Row], what: Callable[[list[Row]], float]) -> Values:
-    """Return one number a start."""
-    starts = dict.fromkeys(row["start"] for row in rows)
-    return np.array([[what([row for row in rows if row["start"] == start])] for start in starts])
+def _runs(rows: Sequence[Row], what: Callable[[list[Row]], float], key: str = "start") -> Values:
+    """Return one number a run: what happens within one is not independent."""
+    starts = dict.fromkeys(row[key] for row in rows)
+    return np.array([[what([row for row in rows if row[key] == start])] for start in starts])
+
+
+def _by_run(key: str) -> Callable[[Sequence[Row]], Values]:
+    """Return the mean of a column over each mapping run."""
+    return lambda rows: _runs(rows, lambda run: float(column(run, key).mean()), "run")
 
 
 def _found_at_end(rows: Sequence[Row]) -> Values:
@@ -159,7 +164,7 @@ def _measures() -> list[Measure]:
     for metres, degrees in THRESHOLDS:
         out.append(Measure(
             f"found {metres:g} m", f"scans found within {metres:g} m and {degrees:g}°", *anywhere, 1, False,
-            _success((metres, degrees)), _mean, True,
+            _success((metres, degrees)), _mean,
         ))  # fmt: skip
     out += [
         Measure("error", "median error of those found, m", *anywhere, -1, True, _of_right("metres"), _median),
@@ -177,15 +182,15 @@ MEASURES: list[Measure] = [
     Measure("score", "variability of the score under rotation, sigma / mu", "rotation", "score", -1, True,
             _plain("variability"), _mean),
     Measure("localised", "robots localised at the end, within 0.25 m and 2°", "localise", "localiser", 1, False,
-            _found_at_end, _mean, True),
+            _found_at_end, _mean),
     Measure("until", "scans until the right answer", "localise", "localiser", -1, True, _scans_until, _mean),
     Measure("false", "false answers, share of scans", "localise", "localiser", -1, False, _false_answers, _mean),
     Measure("filter", "robots localised by the particle filter", "localise", "particle filter", 1, False,
-            _found_at_end, _mean, True),
+            _found_at_end, _mean),
     Measure("overlap", "held-out points on the walls of a map built on the grid", "mapping", "build", 1, False,
-            _plain("overlap"), _mean),
+            _by_run("overlap"), _mean),
     Measure("trajectory", "mean error of a trajectory built on the grid, m", "mapping", "build", -1, True,
-            _plain("metres"), _mean),
+            _by_run("metres"), _mean),
 ]  # fmt: skip
 """Everything but local matching, which is compared for each size of the perturbation: :func:`local_measures`."""
 
@@ -197,9 +202,9 @@ def local_measures(sizes: Sequence[tuple[float, float]]) -> list[Measure]:
         start = f"from {metres:g} m and {degrees:g}° off"
         out += [
             Measure(f"local {metres:g} m", f"matched within 0.1 m and 1° {start}", "local", "local", 1, False,
-                    _success(THRESHOLDS[0]), _mean, True, number),
+                    _success(THRESHOLDS[0]), _mean, number),
             Measure(f"local error {metres:g} m", f"median error {start}, m", "local", "local", -1, True,
-                    _of_right("metres"), _median, False, number),
+                    _of_right("metres"), _median, number),
         ]  # fmt: skip
     return out
 
@@ -215,6 +220,25 @@ def sign_test(a: FloatArray, b: FloatArray) -> float:
         return 1.0
     tail = sum(math.comb(n, k) for k in range(min(more, less) + 1)) / 2**n
     return min(1.0, 2.0 * tail)
+
+
+def permutation_test(u: Values, v: Values, statistic: Statistic, ratio: bool, block: int = 1, seed: int = 0) -> float:
+    """Return how likely two paired samples (K, c) differ as much as they do, were it chance which of a pair is which.
+
+    Pairs are swapped at random, ``block`` neighbours together, in all ways where there are few and in 2,000 ways else.
+    """
+    groups = -(-len(u) // block)
+    if groups <= _ENUMERATED:
+        swaps = (np.arange(2**groups)[:, None] >> np.arange(groups)) & 1
+    else:
+        swaps = np.random.default_rng([seed, 8]).integers(0, 2, (2000, groups))
+        swaps[0] = 0  # as it is: never less likely than one in so many
+    swapped = np.repeat(swaps, block, axis=1)[:, : len(u), None] == 1
+    one, other = statistic(np.where(swapped, v, u)), statistic(np.where(swapped, u, v))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.abs(np.log(one / other)) if ratio else np.abs(one - other)
+    # What is not defined speaks for chance.
+    return float((~(apart < apart[0] * (1.0 - 1e-9))).mean())
 
 
 def compare(
@@ -249,9 +273,8 @@ def compare(
     )
     even = 1.0 if measure.ratio else 0.0
     decided = not interval.low <= even <= interval.high
-    # Where few pairs differ the bootstrap is too sure of them.
-    if measure.binary and sign_test(u[:, 0], v[:, 0]) > _SIGNIFICANT:
-        decided = False
+    # Where few pairs differ, or there are few, the bootstrap is too sure of them.
+    decided = decided and permutation_test(u, v, measure.statistic, measure.ratio, block, seed) <= _SIGNIFICANT
     more = interval.value > even
     outcome = "tie" if not decided else "win" if more == (measure.better > 0) else "lose"
     return there, here, interval, len(u), outcome

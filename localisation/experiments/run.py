@@ -130,11 +130,11 @@ def localisation_experiment(
     for case, result in zip(cases, found, strict=True):
         grid = grids[case["grid"]]
         about = {"task": case["task"], "grid": grid.number, "lattice": grid.name, "resolution": grid.resolution,
-                 "equal": grid.equal, "turn": settings.turns[case["turn"]]}  # fmt: skip
+                 "equal": grid.equal, "turn": settings.all_turns[case["turn"]]}  # fmt: skip
         rows += [{**about, **row} for row in result["rows"]]
     # In the order of the log again, on every grid, whatever the turns: neighbours are alike.
     order = {task: k for k, task in enumerate(settings.tasks)}
-    rows.sort(key=lambda row: (order[row["task"]], row["grid"], row.get("start", row["scan"]), row.get("step", 0)))
+    rows.sort(key=lambda row: (order[row["task"]], row["grid"], row.get("start", 0), row.get("run", 0), row["scan"]))
     results = Results(settings, world, grids, rows)
     return ExperimentOutcome(make_report(results, command), make_times(results, command), results)
 
@@ -155,10 +155,10 @@ def plan_cases(world: World, settings: ExperimentSettings, grids: list[Grid]) ->
                 out += [
                     {**about, "task": task, "scans": tests[s : s + length].tolist()} for s in starts[turn :: len(turns)]
                 ]
-            elif task == "mapping":
-                out += [{**about, "task": task, "scans": mine}] if mine else []
-            elif task != "learning":
+            elif task not in ("mapping", "learning"):
                 out += [{**about, "task": task, "scans": part} for part in _parts(mine, _CHUNKS[task])]
+    for grid, number in itertools.product(grids if "mapping" in settings.tasks else [], range(settings.runs)):
+        out.append({"task": "mapping", "grid": grid.number, "turn": len(turns) + number, "scans": many})
     for grid, turn in itertools.product(grids if "learning" in settings.tasks else [], turns):
         if grid.resolution == settings.learning_resolution:
             for axis, value in _learning_points(settings):

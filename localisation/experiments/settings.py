@@ -22,6 +22,8 @@ LEARNING_AXES = ("scans", "beams", "range", "changed")
 # An interval over fewer scans says nothing.
 LEAST_SCANS = 8
 _OWN = "own"
+# Degrees between mapping runs: multiples of it lie well apart on squares, alike after 90 degrees, and on hexagons.
+_RUN_STEP = 17.0
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class ExperimentSettings:
         turns: degrees by which the lattices are turned against the map's frame. Walls along the axes of a lattice are
             a case of their own, and frames often lie along walls: every scan is looked for at one of these turns, the
             same on every lattice, one after the other.
+        runs: whole mapping runs a grid, with the lattice at an angle of its own for each, :attr:`all_turns`.
         rotations: of map and scan together, for the variability of the score.
         max_range: metres beyond which points are left out everywhere; None: none.
         seed: of everything that is drawn.
@@ -92,6 +95,7 @@ class ExperimentSettings:
     ranges: tuple[float, ...] = (8.0, 4.0, 2.0)
     changes: tuple[float, ...] = (0.1, 0.25, 0.5)
     turns: tuple[float, ...] = (0.0, 17.0, 31.0)
+    runs: int = 6
     rotations: int = 36
     max_range: float | None = None
     seed: int = 0
@@ -117,7 +121,7 @@ class ExperimentSettings:
         if self.hold_out < 2:
             raise ArgumentError(f"every second scan at the most can be held out, not every {self.hold_out}")
         for name, least in (("scans", LEAST_SCANS), ("learning_scans", 2), ("starts", 2), ("length", 3),
-                            ("node_limit", 1), ("rotations", 4)):  # fmt: skip
+                            ("node_limit", 1), ("rotations", 4), ("runs", 1)):  # fmt: skip
             if getattr(self, name) < least:
                 raise ArgumentError(f"the setting {name} is at least {least}, not {getattr(self, name)}")
         for name in ("shares", "changes"):
@@ -155,9 +159,14 @@ class ExperimentSettings:
                     out.append(Grid(len(out), same_cell.scaled(factor), name, r, "radius"))
         return out
 
+    @property
+    def all_turns(self) -> tuple[float, ...]:
+        """Degrees of the lattices: :attr:`turns`, and then those of the mapping runs."""
+        return (*self.turns, *(_RUN_STEP * k for k in range(self.runs)))
+
     def bases(self) -> list[list[list[list[float]]]]:
         """Return the basis of every grid at every turn."""
-        turned = [Pose.planar(0.0, 0.0, math.radians(t)).rotation for t in self.turns]
+        turned = [Pose.planar(0.0, 0.0, math.radians(t)).rotation for t in self.all_turns]
         return [[(R @ grid.lattice.basis).tolist() for R in turned] for grid in self.grids()]
 
     @property
@@ -174,7 +183,7 @@ def quick(settings: ExperimentSettings) -> ExperimentSettings:
     """Return the settings with smaller numbers of everything: for a first look, with wide intervals."""
     return replace(
         settings, scans=16, starts=4, length=12, learning_scans=8, shares=settings.shares[1:2],
-        ranges=settings.ranges[1:2], changes=settings.changes[1:2], rotations=18, node_limit=300_000,
+        ranges=settings.ranges[1:2], changes=settings.changes[1:2], runs=4, rotations=18, node_limit=300_000,
     )  # fmt: skip
 
 

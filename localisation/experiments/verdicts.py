@@ -192,7 +192,8 @@ def _calibrated(results: Results) -> list[Verdict]:
             out.append(Verdict(
                 f"The 95 % ellipses of the {name} hold about 95 % of the errors of right answers", "Calibration",
                 "holds" if all(good) else "holds in part" if any(good) else "does not hold",
-                f"between {_COVERED[0]:.0%} and {_COVERED[1]:.0%} on every grid; in part on some",
+                f"between {_COVERED[0]:.0%} and {_COVERED[1]:.0%} on every grid; in part on some; errors of the "
+                "reference count as errors",
                 "; ".join(f"{label} {format_number(share, '.0%')} of {count}" for label, share, count in shares),
             ))  # fmt: skip
     return out
