@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.errors import TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose, wrap_angle
@@ -88,7 +89,11 @@ def _global(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
 def _found(points: FloatArray, true: Pose, prepared: Prepared, method: str, shared: Shared) -> Row:
     angles = "continuous" if method == "all angles" else angular_step(points, prepared.lattice)
     begin = time.process_time()
-    match = prepared.matcher.match(points, angles=angles, beams=False, node_limit=shared["node_limit"])
+    try:
+        match = prepared.matcher.match(points, angles=angles, beams=False, node_limit=shared["node_limit"])
+    except TooLargeError:
+        # Too many angles for a search: this method finds nothing here.
+        match = None
     cpu = time.process_time() - begin
     if match is None:
         nothing = {"margin": 0.0, "fraction": 0.0, "certified": True, "nodes": 0}
@@ -116,7 +121,10 @@ def _local(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
         for number, (far, turned) in enumerate(shared["perturbations"]):
             start = _perturbed(true, far, math.radians(turned), [int(shared["seed"]), k, number])
             begin = time.process_time()
-            match = matcher.match(points, start, occupancy)
+            try:
+                match = matcher.match(points, start, occupancy)
+            except TooLargeError:
+                match = None
             covariance = None if match is None else _covariance(prepared, points, match)
             cpu = time.process_time() - begin
             rows.append({

@@ -26,10 +26,10 @@ def make_report(results: Results, command: str = "") -> Report:
     s = results.settings
     comparisons = compare_all(results)
     report = Report(f"Localisation on lattices: {results.world.source}", command, s.table())
-    report.paragraph(_what_was_done(results))
-    report.paragraph(results.world.reference)
     if comparisons:
         report.paragraph(summary(comparisons))
+    report.paragraph(_what_was_done(results))
+    report.paragraph(results.world.reference)
     report.heading("Verdicts")
     report.verdicts(judge(results, comparisons))
     if comparisons:

@@ -89,21 +89,30 @@ def _words(c: Comparison) -> str:
 
 
 def summary(comparisons: Sequence[Comparison]) -> str:
-    """Return what became of all comparisons in one paragraph."""
+    """Return what became of all comparisons in a few sentences."""
     text = []
     for rival, base, equal in dict.fromkeys((c.rival, c.base, c.equal) for c in comparisons):
         mine = [c for c in comparisons if (c.rival, c.equal) == (rival, equal)]
         counts = [sum(c.outcome == which for c in mine) for which in ("win", "tie", "lose")]
         text.append(
             f"{rival} against {base} {EQUAL_WORDS[equal]}: {counts[0]} of {len(mine)} comparisons won, {counts[1]} "
-            f"even, {counts[2]} lost"
+            f"even, {counts[2]} lost; {_throughout(mine, 'win', 'won')}, {_throughout(mine, 'lose', 'lost')}."
         )
     total = len(comparisons)
-    return (
-        f"{'; '.join(text)}. Of {total} comparisons at the 95 % level about {round(0.05 * total)} would be decided by "
-        "chance alone where nothing differs, half of them either way, and many of them are about the same scans: look "
-        "for what is won at every resolution."
+    text.append(
+        f"Of {total} comparisons at the 5 % level up to {round(0.05 * total)} would be decided by chance alone where "
+        "nothing differs, half of them either way, and many are about the same scans: what is decided at every "
+        "resolution counts."
     )
+    return " ".join(text)
+
+
+def _throughout(comparisons: Sequence[Comparison], outcome: str, word: str) -> str:
+    """Say which measures have an outcome at every resolution, of several."""
+    labels = dict.fromkeys(c.measure.label for c in comparisons)
+    every = [label for label in labels if all(c.outcome == outcome for c in comparisons if c.measure.label == label)]
+    sizes = len({c.resolution for c in comparisons})
+    return f"{word}{' at every resolution' if sizes > 1 else ''}: {', '.join(every) or 'nothing'}"
 
 
 # ---------------------------------------------------------------------- baselines and calibration

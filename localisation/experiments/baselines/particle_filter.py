@@ -117,7 +117,9 @@ class LikelihoodField:
         box = IndexBox.of_cells(states.occupied.index).padded(reach.astype(np.int64))
         tree = cKDTree(states.occupied.centres())
         centres = self.lattice.centres(box.cells())
-        distance = tree.query(centres, distance_upper_bound=settings.farthest)[0]
+        # Farther than that the Gaussian is nothing beside the random beams, to the last digit that counts.
+        seen = min(settings.farthest, 6.0 * settings.sigma_hit)
+        distance = tree.query(centres, distance_upper_bound=seen)[0]
         distance = np.minimum(distance, settings.farthest)
         values = self.log_likelihood(distance, settings)
         beyond = float(self.log_likelihood(np.array([settings.farthest]), settings)[0])
