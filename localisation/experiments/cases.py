@@ -41,6 +41,8 @@ Shared: TypeAlias = Mapping[str, Any]
 
 # Scans of the map around a scan that make its surroundings in the measurement under rotation.
 _AROUND = 8
+# Metres: mapping searches on the level of about this resolution, as the map maker does by default, or on the finest.
+_SEARCHED = 0.1
 # Of a covariance, squared metres or radians: rounding.
 _LEAST_VARIANCE = 1e-14
 
@@ -225,7 +227,8 @@ def _mapping(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     world = World.of_shared(shared)
     lattice = Lattice(np.array(shared["bases"][case["grid"]][case["turn"]]))
     numbers = world.map_scans()
-    settings = MappingSettings(lattice=lattice.basis.tolist(), levels=2, search_level=1)
+    level = max(0, round(math.log2(_SEARCHED / shared["sizes"][case["grid"]])))
+    settings = MappingSettings(lattice=lattice.basis.tolist(), levels=level + 1, search_level=level)
     begin = time.process_time()
     result, poses = built_poses(world, numbers, settings)
     cpu = time.process_time() - begin

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["learning_curves", "local_curves", "risk_curves", "run_curves", "success_curves"]
 
 _STYLES = {"cell": "-", "radius": "--"}
+_FAINT = 0.5  # of the lines of a baseline
 _AXIS_WORDS = {
     "scans": "share of scans in the map", "beams": "share of beams kept", "range": "range, m",
     "changed": "share of walls changed",
@@ -25,7 +26,7 @@ _AXIS_WORDS = {
 
 def _width(results: Results, grid: Grid, width: float = 1.6) -> float:
     """Return the width of a line: the first lattice's is wider, to be seen under an equal one."""
-    return width if grid.name != results.grids[0].name else 2.2 * width
+    return width if grid.name != results.grids[0].name else 1.7 * width
 
 
 def _colour(results: Results, grid: Grid) -> str:
@@ -58,12 +59,12 @@ def success_curves(results: Results, task: str) -> Figure:
     metres = np.geomspace(0.003, 2.0, 150)
 
     def draw(panel: Any, grid: Grid) -> None:
-        for method, width in (("all angles", 1.6), ("angle set", 0.8)):
+        for method, width, alpha in (("all angles", 1.6, 1.0), ("angle set", 1.0, _FAINT)):
             rows = results.select(task=task, grid=grid.number, method=method)
             off = np.where(column(rows, "degrees") <= THRESHOLDS[-1][1], column(rows, "metres"), np.inf)
             panel.semilogx(
                 metres, [float((off <= m).mean()) for m in metres], _STYLES[grid.equal], color=_colour(results, grid),
-                linewidth=_width(results, grid, width),
+                linewidth=_width(results, grid, width), alpha=alpha,
                 label=grid.label if method == "all angles" else f"{grid.label}, angle set",
             )  # fmt: skip
         panel.set_ylim(0.0, 1.02)
@@ -77,14 +78,14 @@ def risk_curves(results: Results, task: str) -> Figure:
     methods = results.methods(task)[: 1 if task == "global" else 2]
 
     def draw(panel: Any, grid: Grid) -> None:
-        for method, width in zip(methods, (1.6, 0.8), strict=False):
+        for method, width, alpha in zip(methods, (1.6, 1.0), (1.0, _FAINT), strict=False):
             rows = results.select(task=task, grid=grid.number, method=method)
             order = np.argsort(-confidence(rows), kind="stable")
             wrong = 1.0 - is_right(rows)[order]
             taken = np.arange(1, len(wrong) + 1)
             label = grid.label if method == methods[0] else f"{grid.label}, filter"
             panel.plot(taken / len(wrong), np.cumsum(wrong) / taken, _STYLES[grid.equal], color=_colour(results, grid),
-                       linewidth=_width(results, grid, width), label=label)  # fmt: skip
+                       linewidth=_width(results, grid, width), alpha=alpha, label=label)  # fmt: skip
         panel.set_xlim(0.0, 1.0)
         panel.set_ylim(-0.02, max(0.3, panel.get_ylim()[1]))
 
@@ -111,14 +112,15 @@ def run_curves(results: Results) -> Figure:
     """Return the share of robots with a right answer over the scans they have seen."""
 
     def draw(panel: Any, grid: Grid) -> None:
-        for method, width in (("localiser", 1.6), ("particle filter", 0.8)):
+        for method, width, alpha in (("localiser", 1.6, 1.0), ("particle filter", 1.0, _FAINT)):
             rows = results.select(task="localise", grid=grid.number, method=method)
             good = is_right(rows, THRESHOLDS[1]) & (column(rows, "answered") > 0)
             steps = column(rows, "step")
             along = np.unique(steps)
             label = grid.label if method == "localiser" else f"{grid.label}, filter"
             panel.plot(along + 1, [float(good[steps == k].mean()) for k in along], _STYLES[grid.equal],
-                       color=_colour(results, grid), linewidth=_width(results, grid, width), label=label)  # fmt: skip
+                       color=_colour(results, grid), linewidth=_width(results, grid, width), alpha=alpha,
+                       label=label)  # fmt: skip
         panel.set_ylim(0.0, 1.02)
 
     return _panels(results, draw, "scans seen", "share of robots")
@@ -134,7 +136,7 @@ def learning_curves(results: Results) -> Figure:
         "scans": [1.0, *s.shares], "beams": [1.0, *s.shares], "changed": [0.0, *s.changes], "range": list(s.ranges),
     }  # fmt: skip
     with figure_style():
-        figure = Figure(figsize=(9.6, 3.0), layout="constrained")
+        figure = Figure(figsize=(8.2, 2.9), layout="constrained")
         panels = figure.subplots(1, len(LEARNING_AXES), sharey=True)
         for panel, axis in zip(panels, LEARNING_AXES, strict=True):
             for grid in grids:

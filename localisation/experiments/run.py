@@ -115,6 +115,7 @@ def localisation_experiment(
     shared = {
         **world.shared(),
         "bases": settings.bases(),
+        "sizes": [grid.resolution for grid in grids],
         "node_limit": settings.node_limit,
         "perturbations": [list(v) for v in settings.perturbations],
         "window": list(settings.window),
