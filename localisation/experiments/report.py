@@ -14,6 +14,7 @@ from localisation.experiments.comparison import Comparison, compare_all, risk_ar
 from localisation.experiments.results import Results, Row, column, confidence, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
 from localisation.experiments.verdicts import interval_of, judge, summary
+from localisation.experiments.world import NEAR
 
 __all__ = ["make_report"]
 
@@ -54,11 +55,12 @@ def _what_was_done(results: Results) -> str:
     sizes = ", ".join(f"{r:g}" for r in s.resolutions)
     return (
         f"{len(world.map_scans()):,} scans make the maps and {len(world.test_scans()):,} others are there to look "
-        f"for: {by}, and no map contains a scan that is looked for in it. Lattices at resolutions of {sizes} m: "
-        f"{results.grids[0].name}, and the others with cells of the same area and, marked (radius), with the same "
-        "covering radius, which takes fewer cells. All look for the same scans from the same starts, with the "
-        f"lattices turned against the map's frame by {', '.join(f'{t:g}' for t in s.turns)}° in turn, because walls "
-        "along the axes of a lattice are a case of their own. Times are in a report of their own, in the folder times."
+        f"for, within {NEAR:g} m of one of the map's: {by}, and no map contains a scan that is looked for in it. "
+        f"Lattices at resolutions of {sizes} m: {results.grids[0].name}, and the others with cells of the same area "
+        "and, marked (radius), with the same covering radius, which takes fewer cells. All look for the same scans "
+        "from the same starts, with the lattices turned against the map's frame by "
+        f"{', '.join(f'{t:g}' for t in s.turns)}° in turn, because walls along the axes of a lattice are a case of "
+        "their own. Times are in a report of their own, in the folder times."
     )
 
 

@@ -144,8 +144,10 @@ def plan_cases(world: World, settings: ExperimentSettings, grids: list[Grid]) ->
     """Return all cases, those of one map one after the other."""
     tests = world.test_scans()
     many, few = _spread(tests, settings.scans).tolist(), _spread(tests, settings.learning_scans).tolist()
-    length = min(settings.length, len(tests))
-    starts = np.unique(np.linspace(0, len(tests) - length, settings.starts).astype(np.int64)).tolist()
+    # Where all scans of a stretch are held out, runs see one in so many, as where only those are: they come as far.
+    driven = tests if settings.split == "every" and not world.run.any() else tests[:: settings.hold_out]
+    length = min(settings.length, len(driven))
+    starts = np.unique(np.linspace(0, len(driven) - length, settings.starts).astype(np.int64)).tolist()
     turns = range(len(settings.turns))
     out: list[Case] = []
     for grid, turn in itertools.product(grids, turns):
@@ -154,7 +156,8 @@ def plan_cases(world: World, settings: ExperimentSettings, grids: list[Grid]) ->
         for task in settings.tasks:
             if task == "localise":
                 out += [
-                    {**about, "task": task, "scans": tests[s : s + length].tolist()} for s in starts[turn :: len(turns)]
+                    {**about, "task": task, "scans": driven[s : s + length].tolist()}
+                    for s in starts[turn :: len(turns)]
                 ]
             elif task not in ("mapping", "learning"):
                 out += [{**about, "task": task, "scans": part} for part in _parts(mine, _CHUNKS[task])]

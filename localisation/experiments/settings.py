@@ -58,7 +58,7 @@ class ExperimentSettings:
         lattices: names, or bases (columns are generators, in any unit); the first is what the others are compared with.
         resolutions: metres.
         split: "every" holds out every ``hold_out``-th scan, "half" the second half of the log.
-        hold_out: see there.
+        hold_out: see there; where whole stretches are held out, robots without a start see one scan in so many of them.
         tasks: which of :data:`TASKS` to do.
         scans: that are looked for in each task.
         starts: instants at which a robot without a start pose wakes up.

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError, LogError, TrajectoryError
@@ -23,10 +24,12 @@ from localisation.mapping.fuse_log import readings_at_poses
 from localisation.mapping.result import MappingResult
 from localisation.settings import MappingSettings
 
-__all__ = ["ScansLog", "World", "aligned_case", "read_world", "reference_case"]
+__all__ = ["NEAR", "ScansLog", "World", "aligned_case", "read_world", "reference_case"]
 
 # Points that a scan must have to be looked for: fewer fit anywhere.
 _LEAST_POINTS = 20
+NEAR = 3.0
+"""Metres: a scan is looked for where a scan of the map was taken no farther away, about a room's width."""
 
 Runner: TypeAlias = Callable[[Any, list[dict[str, Any]], Mapping[str, Any]], list[dict[str, Any]]]
 
@@ -101,8 +104,13 @@ class World:
         return np.flatnonzero(self.known & ~self.held_out)
 
     def test_scans(self) -> IntArray:
-        """Return the numbers of the scans that are looked for: held out, with a pose and enough points."""
-        return np.flatnonzero(self.known & self.held_out & (np.diff(self.offsets) >= _LEAST_POINTS))
+        """Return the numbers of the scans that are looked for: held out, with a pose and enough points, in the map."""
+        numbers = np.flatnonzero(self.known & self.held_out & (np.diff(self.offsets) >= _LEAST_POINTS))
+        mapped = self.poses[self.map_scans(), :2]
+        if len(mapped) == 0 or len(numbers) == 0:
+            return numbers[:0]
+        distance = cKDTree(mapped).query(self.poses[numbers, :2])[0]
+        return np.asarray(numbers[distance <= NEAR])
 
 
 class ScansLog(Log):
