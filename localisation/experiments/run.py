@@ -6,6 +6,7 @@ import hashlib
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -41,14 +42,26 @@ class ExperimentOutcome:
     """What was found.
 
     Attributes:
-        report: without times: the same on every run.
-        times: the report of what it cost, which is not.
         results: all rows.
+        command: the command line, for the reports.
     """
 
-    report: Report
-    times: Report
     results: Results
+    command: str = ""
+
+    @cached_property
+    def report(self) -> Report:
+        """The report, without times: the same on every run."""
+        from localisation.experiments.report import make_report
+
+        return make_report(self.results, self.command)
+
+    @cached_property
+    def times(self) -> Report:
+        """The report of what it cost, which is not."""
+        from localisation.experiments.times import make_times
+
+        return make_times(self.results, self.command)
 
     def write(self, folder: Path) -> list[Path]:
         """Write both reports, that of the times into ``times/``, and all rows; return the files, the rows last.
@@ -80,7 +93,7 @@ def localisation_experiment(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> ExperimentOutcome:
-    """Run the experiment on a log and return its report.
+    """Run the experiment on a log and return what was found.
 
     Args:
         log: an open planar log.
@@ -100,9 +113,6 @@ def localisation_experiment(
         ArgumentError: a setting, or poses that are missing.
         AlignmentError: the other run is not found in the map of the first.
     """
-    from localisation.experiments.report import make_report
-    from localisation.experiments.times import make_times
-
     settings = settings or ExperimentSettings()
     code = _fingerprint()
 
@@ -136,8 +146,7 @@ def localisation_experiment(
     # In the order of the log again, on every grid, whatever the turns: neighbours are alike.
     order = {task: k for k, task in enumerate(settings.tasks)}
     rows.sort(key=lambda row: (order[row["task"]], row["grid"], row.get("start", 0), row.get("run", 0), row["scan"]))
-    results = Results(settings, world, grids, rows)
-    return ExperimentOutcome(make_report(results, command), make_times(results, command), results)
+    return ExperimentOutcome(Results(settings, world, grids, rows), command)
 
 
 def plan_cases(world: World, settings: ExperimentSettings, grids: list[Grid]) -> list[Case]:
