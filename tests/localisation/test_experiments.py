@@ -163,7 +163,7 @@ def test_the_report_says_first_what_holds_and_then_why(outcome: ExperimentOutcom
         "times.csv",
     } <= written
     report = (tmp_path / "report.md").read_text()
-    sections = ["Verdicts", "Win, even, lose", "Anywhere", "Near a start", "Runs", "Maps", "Rotation", "Learning curves",
+    sections = ["Verdicts", "Win, even, lose", "Anywhere", "Near a start", "Runs", "Maps", "Rotation", "Learning",
                 "Calibration", "What was set"]  # fmt: skip
     places = [report.index(f"## {name}") for name in sections]
     assert places == sorted(places)
