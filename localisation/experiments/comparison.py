@@ -41,6 +41,7 @@ class Measure:
         values: the columns (K, c) of rows; pairs with NaN in them are left out.
         statistic: of columns.
         size: number of the perturbation, for local matching.
+        equal_cells: whether it means something at equal cells only: larger ones are met more often by any scan.
     """
 
     key: str
@@ -52,6 +53,7 @@ class Measure:
     values: Callable[[Sequence[Row]], Values]
     statistic: Statistic
     size: int | None = None
+    equal_cells: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,7 +190,7 @@ MEASURES: list[Measure] = [
     Measure("filter", "robots localised by the particle filter", "localise", "particle filter", 1, False,
             _found_at_end, _mean),
     Measure("overlap", "held-out points on the walls of a map built on the grid", "mapping", "build", 1, False,
-            _by_run("overlap"), _mean),
+            _by_run("overlap"), _mean, equal_cells=True),
     Measure("trajectory", "mean error of a trajectory built on the grid, m", "mapping", "build", -1, True,
             _by_run("metres"), _mean),
 ]  # fmt: skip
@@ -290,6 +292,8 @@ def compare_all(results: Results) -> list[Comparison]:
             if not first:
                 continue
             for rival in results.rivals(resolution):
+                if measure.equal_cells and rival.equal != "cell":
+                    continue
                 found = compare(measure, _rows(results, measure, rival), first, results.settings.seed)
                 if found is not None:
                     there, here, interval, pairs, outcome = found

@@ -335,6 +335,7 @@ def _limits(results: Results) -> list[str]:
         "of other places. Runs share one map and may share scans."
     )
     out.append(
-        "At equal covering radius a lattice has larger cells: for that alone it may win in nodes and lose in precision."
+        "At equal covering radius a lattice has larger cells: for that alone it may win in nodes and in a steady "
+        "score, and lose in precision. What larger cells win by being met more often is not compared."
     )
     return out
