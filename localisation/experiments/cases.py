@@ -26,7 +26,7 @@ from localisation.experiments.world import World, built_poses
 from localisation.localiser.estimate import TrackState
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
-from localisation.matching.global_matcher import thin
+from localisation.matching.global_matcher import GlobalMatcher, thin
 from localisation.matching.information import score_covariance
 from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.match import Match
@@ -81,18 +81,19 @@ def _errors(found: Pose | None, true: Pose, covariance: FloatArray | None) -> Ro
 def _global(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     """Find single scans in the whole map, over all angles and over a fixed set of them."""
     world, prepared = World.of_shared(shared), prepare(MapKind(case["grid"], case["turn"]), shared)
+    matcher = prepared.matcher()
     rows = []
     for k in case["scans"]:
         for method in ("all angles", "angle set"):
-            rows.append({"scan": k, "method": method, **_found(world.scan(k), world.pose(k), prepared, method, shared)})
+            rows.append({"scan": k, "method": method, **_found(world.scan(k), world.pose(k), matcher, method, shared)})
     return rows
 
 
-def _found(points: FloatArray, true: Pose, prepared: Prepared, method: str, shared: Shared) -> Row:
-    angles = "continuous" if method == "all angles" else angular_step(points, prepared.lattice)
+def _found(points: FloatArray, true: Pose, matcher: GlobalMatcher, method: str, shared: Shared) -> Row:
+    angles = "continuous" if method == "all angles" else angular_step(points, matcher.lattice)
     begin = time.process_time()
     try:
-        match = prepared.matcher.match(points, angles=angles, beams=False, node_limit=shared["node_limit"])
+        match = matcher.match(points, angles=angles, beams=False, node_limit=shared["node_limit"])
     except TooLargeError:
         # Too many angles for a search: this method finds nothing here.
         match = None
@@ -116,7 +117,7 @@ def _local(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     world, prepared = World.of_shared(shared), prepare(MapKind(case["grid"], case["turn"]), shared)
     metres, degrees = shared["window"]
     matcher = LocalMatcher(SearchWindow(metres, math.radians(degrees)))
-    occupancy = prepared.matcher.pyramid.occupancy
+    occupancy = prepared.pyramid.occupancy
     rows = []
     for k in case["scans"]:
         points, true = world.scan(k), world.pose(k)
@@ -149,7 +150,7 @@ def _perturbed(true: Pose, metres: float, radians: float, seed: list[int]) -> Po
 def _covariance(prepared: Prepared, points: FloatArray, match: Match) -> FloatArray:
     """Return the covariance of a local match by the surface of scores around it."""
     kept, weights = thin(points, prepared.lattice)
-    return score_covariance(prepared.matcher.pyramid, kept, weights, match.searched, refined=match.refined)
+    return score_covariance(prepared.pyramid, kept, weights, match.searched, refined=match.refined)
 
 
 def _learning(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
@@ -162,14 +163,14 @@ def _learning(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
         farthest=value if axis == "range" else math.inf,
         changed=value if axis == "changed" else 0.0,
     )
-    world, prepared = World.of_shared(shared), prepare(kind, shared)
+    world, matcher = World.of_shared(shared), prepare(kind, shared).matcher()
     rows = []
     for k in case["scans"]:
         points = nearer_than(world.scan(k), kind.farthest)
         if axis == "beams":
             points = points[some_of(np.arange(len(points)), value)]
         rows.append({"scan": k, "method": "all angles", "axis": axis, "value": value,
-                     **_found(points, world.pose(k), prepared, "all angles", shared)})  # fmt: skip
+                     **_found(points, world.pose(k), matcher, "all angles", shared)})  # fmt: skip
     return rows
 
 

@@ -62,12 +62,24 @@ class Prepared:
     Attributes:
         lattice: its lattice.
         states: its occupied and free cells.
-        matcher: over the whole of it.
     """
 
     lattice: Lattice
     states: States
-    matcher: GlobalMatcher
+
+    def matcher(self) -> GlobalMatcher:
+        """Return a new matcher over the whole map.
+
+        A case takes one of its own: how many nodes a search takes depends on how far the scans before it saw, for which
+        the tables have grown, and what comes before a case depends on the number of workers.
+        """
+        pyramid = OccupancyPyramid(coincidence(self.states.occupied))
+        return GlobalMatcher(pyramid, self.states.occupied.merge(self.states.free))
+
+    @cached_property
+    def pyramid(self) -> OccupancyPyramid:
+        """The weights of the map, for what looks around one pose only."""
+        return OccupancyPyramid(coincidence(self.states.occupied))
 
     @cached_property
     def field(self) -> LikelihoodField:
@@ -97,8 +109,7 @@ def prepare(kind: MapKind, shared: Mapping[str, Any]) -> Prepared:
     states = builder.build(finish=True).state()
     if kind.changed > 0.0:
         states = change_walls(states, kind.changed, int(shared["seed"]))
-    pyramid = OccupancyPyramid(coincidence(states.occupied))
-    made = Prepared(lattice, states, GlobalMatcher(pyramid, states.occupied.merge(states.free)))
+    made = Prepared(lattice, states)
     _Kept.maps[kind] = made
     while len(_Kept.maps) > _KEPT:
         _Kept.maps.popitem(last=False)

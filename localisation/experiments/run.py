@@ -32,7 +32,7 @@ SURE = 0.95
 """Share of its particles in one cluster from which on the particle filter counts as having answered."""
 
 # Scans a case: what an interruption can cost.
-_CHUNKS = {"global": 4, "local": 10, "rotation": 10, "learning": 4}
+_CHUNKS = {"global": 7, "local": 14, "rotation": 10, "learning": 6}
 # What comes after the cases: a change there leaves finished cases as they are.
 _AFTERWARDS = ("report", "figures", "verdicts", "comparison", "results", "run", "times")
 
