@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hexmap.base.errors import HexmapError
-from hexmap.cli import benchmark, experiments, localise, mapping, viewing
+from hexmap.cli import benchmark, experiments, localisation_experiment, localise, mapping, viewing
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
 
@@ -37,6 +37,7 @@ app.command()(viewing.lattices)
 app.command()(viewing.show)
 app.command()(viewing.export)
 app.command(cls=PlanCommand)(planning.plan)
+experiments.app.command()(localisation_experiment.localisation)
 app.add_typer(experiments.app, name="experiment")
 app.add_typer(benchmark.app, name="benchmark")
 

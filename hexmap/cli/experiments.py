@@ -67,7 +67,7 @@ def rotation(
         raise ArgumentError(f"say how large the cells are: {'--area' if dim == 2 else '--volume'} or --resolution")
     settings = RotationSettings(
         resolution=size, axis=axis, start=start, stop=stop, step=step, random=random, seed=seed,
-        lattices=tuple(lattice) if lattice else None, own=tuple(_basis(text) for text in basis or ()),
+        lattices=tuple(lattice) if lattice else None, own=tuple(parse_basis(text) for text in basis or ()),
     )  # fmt: skip
     settings.make_lattices(dim)
     for text in warnings:
@@ -101,7 +101,7 @@ def quantiser(
     write_report(quantiser_experiment(count=count, seed=seed, command=command_line()), output)
 
 
-def _basis(text: str) -> list[list[float]]:
+def parse_basis(text: str) -> list[list[float]]:
     """Return the basis (columns are generators) of generators written as x,y;x,y.
 
     Raises:

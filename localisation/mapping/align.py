@@ -155,12 +155,15 @@ def align_maps(
         raise ArgumentError(f"a map of dimension {b.lattice.dim} cannot lie in one of dimension {a.lattice.dim}")
     scale = _coarse_scale(a, b, settings.most_cells, rules)
     first, second = _side(a, rules[0], scale, "first map"), _side(b, rules[1], scale, "second map")
+    # The best place alone takes half of the time, and maps of different places fail there.
     match, searched = _search(first, second, settings)
     pose = _refine(a, rules[0], first, second, searched)
     met, overlap, contradicted = _agreement(first, second, pose)
     _check_agreement(met, overlap, contradicted, settings)
+    match, _ = _search(first, second, settings, known=match.score)
     _check_margin(match, searched, second, first, settings)
     reverse_match, reverse = _search(second, first, settings)
+    reverse_match, _ = _search(second, first, settings, known=reverse_match.score)
     _check_margin(reverse_match, reverse, first, second, settings)
     reverse = _refine(b, rules[1], second, first, reverse)
     metres, radians = _difference(first, second, pose, reverse)
@@ -225,8 +228,13 @@ def _side(map: Map, rule: StateRule | None, scale: float, name: str) -> _Side:
     return _Side(name, fine, coincidence(VoxelList.from_points(fine, lattice)), points, middle, reach, states)
 
 
-def _search(there: _Side, what: _Side, settings: AlignSettings) -> tuple[Match, Pose]:
-    """Search the whole of one map for another; returns the match of the other's middle, and T_there_what."""
+def _search(
+    there: _Side, what: _Side, settings: AlignSettings, known: int | None = None
+) -> tuple[Match, Pose]:
+    """Search the whole of one map for another; returns the match of the other's middle, and T_there_what.
+
+    ``known`` is the best score where that has been searched for: then what else would have fitted is searched for too.
+    """
     # The middle may lie wherever the farthest cell can still meet a wall.
     low, high = there.points.min(axis=0) - what.reach, there.points.max(axis=0) + what.reach
     matcher = GlobalMatcher(OccupancyPyramid(there.walls), _box(there.walls.lattice, low, high))
@@ -235,7 +243,9 @@ def _search(there: _Side, what: _Side, settings: AlignSettings) -> tuple[Match, 
     found = matcher.match(
         what.points - what.middle,
         apart=(apart, apart / max(0.5 * what.reach, apart)),
-        runner_up=1.0 - settings.min_margin,
+        runner_up=None if known is None else 1.0 - settings.min_margin,
+        # Half a cell less, so that rounding cannot leave out the pose that is known.
+        least=0.0 if known is None else (known - 0.5) / len(what.points),
         refine=False,
         time_limit=settings.time_limit,
     )

@@ -67,6 +67,7 @@ class Checkpoints:
         self.path = Path(folder) / _NAME
         self.every = every
         self._last = time.monotonic()
+        self._described: tuple[Path, dict[str, Any]] | None = None
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -116,7 +117,10 @@ class Checkpoints:
         body = pickle.dumps((readings, state), protocol=4)
         with atomic_path(self.path) as temporary, open(temporary, "wb") as handle:
             handle.write(_MAGIC)
-            handle.write(json.dumps(_describe(log, settings, loops), sort_keys=True).encode() + b"\n")
+            # The sum over a log takes a while, and a run has one log.
+            if self._described is None or self._described[0] != log.path:
+                self._described = log.path, _describe(log, settings, loops)
+            handle.write(json.dumps(self._described[1], sort_keys=True).encode() + b"\n")
             handle.write(hashlib.sha256(body).hexdigest().encode() + b"\n")
             handle.write(body)
         self._last = time.monotonic()

@@ -48,8 +48,9 @@ _LANE = 257
 _WIDTHS = (64, 128, 256, 256, 256, 256, 256, 256, 256, 256)
 # Slots for cells of rotations, and bytes that they may take.
 _SLOTS = 2048
-_EXACT_SLOTS = 256
+_EXACT_SLOTS = 1024
 _SLOT_BYTES = 32 << 20
+_EXACT_BYTES = 96 << 20
 
 
 class Found(NamedTuple):
@@ -201,7 +202,7 @@ class BranchAndBound:
         """Return empty slots; the arrays are kept for the next scan of the thread."""
         count, n = self.points.shape
         slots = max(64, min(_SLOTS, _SLOT_BYTES // (count * n * 4)))
-        exact = max(16, min(_EXACT_SLOTS, _SLOT_BYTES // (room * (n * 4 + 20) + count * (n * 4 + 8))))
+        exact = max(16, min(_EXACT_SLOTS, _EXACT_BYTES // (room * (n * 4 + 20) + count * (n * 4 + 8))))
         key = (slots, exact, count, n, room)
         scratch = self.space.scratch
         if getattr(scratch, "key", None) != key:

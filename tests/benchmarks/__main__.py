@@ -4,6 +4,7 @@ from tests.benchmarks import (
     anyangle,
     canonical,
     experiments,
+    lattice_localisation,
     localisation,
     localiser,
     mapping,
@@ -18,5 +19,7 @@ voxels.main()
 mapping.main()
 experiments.main()
 slam.main([])
-for module in (planning, canonical, optimum, anyangle, replanning, localisation, localiser):
+for module in (
+    planning, canonical, optimum, anyangle, replanning, localisation, localiser, lattice_localisation,
+):  # fmt: skip
     module.main([])

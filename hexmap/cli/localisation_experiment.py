@@ -1,0 +1,145 @@
+"""``hexmap experiment localisation``: which lattice localises better, on one's own log."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from hexmap.cli import clouds
+from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.experiments import Folder, check_folder, command_line, make_folder, parse_basis
+
+if TYPE_CHECKING:
+    from localisation.experiments.settings import ExperimentSettings
+
+__all__ = ["localisation"]
+
+Number = TypeVar("Number", int, float)
+
+
+def localisation(
+    log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP.")],
+    output: Folder,
+    lattices: Annotated[str, typer.Option(help="Names; the others are compared with the first.")] = "Z2,A2",
+    basis: Annotated[
+        list[str] | None, typer.Option(help="One more lattice, of your own: its generators as x,y;x,y.")
+    ] = None,
+    resolutions: Annotated[str, typer.Option(help="Resolutions, m.")] = "0.05,0.1,0.2",
+    poses: Annotated[Path | None, typer.Option(help="Reference poses (TUM); without them the log is mapped.")] = None,
+    test: Annotated[
+        Path | None, typer.Option(help="Another run of the same place, whose scans are looked for.")
+    ] = None,
+    test_poses: Annotated[Path | None, typer.Option(help="Its poses (TUM), in the frame of --poses.")] = None,
+    associate: Annotated[str | None, typer.Option(help="How poses go with scans: order or time.")] = None,
+    split: Annotated[str, typer.Option(help="Held-out scans: every (k-th), or half (the second).")] = "every",
+    hold_out: Annotated[int, typer.Option(help="The k of every k-th.")] = 4,
+    tasks: Annotated[
+        str, typer.Option(help="Some of global, local, localise, mapping, rotation, learning.")
+    ] = "global,local,localise,mapping,rotation,learning",
+    scans: Annotated[
+        int | None, typer.Option(help="Scans that are looked for in each task.", show_default="40")
+    ] = None,
+    starts: Annotated[int | None, typer.Option(help="Starts without a pose along the log.", show_default="12")] = None,
+    max_range: Annotated[float | None, typer.Option(help="Leave out points farther than this, m.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer of everything, for a first look.")] = False,
+    workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
+    seed: clouds.Seed = 0,
+) -> None:
+    """Held-out scans found, matched, localised and mapped on every lattice, with intervals, baselines and verdicts.
+
+    An interrupted run goes on where it stopped. Times are in a report of their own, in the folder times.
+    """
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.io.trajectories import read_tum
+    from localisation.experiments.run import localisation_experiment
+
+    check_folder(output)
+    given = {"scans": scans, "starts": starts}
+    settings = _settings(
+        quick, lattices=(*_words(lattices), *(_own(text) for text in basis or ())),
+        resolutions=_numbers(resolutions, "--resolutions", float), split=split, hold_out=hold_out,
+        tasks=tuple(_words(tasks)), max_range=max_range, seed=seed,
+        **{name: value for name, value in given.items() if value is not None},
+    )  # fmt: skip
+    source, other = open_log(log), None if test is None else open_log(test)
+    reference, other_reference = (None if path is None else read_tum(path) for path in (poses, test_poses))
+    if any(output.glob("cases-*.jsonl")):
+        say(f"{output}: finished cases of an earlier run are kept, with their times")
+    first_run_note()
+    fraction = [0.0]
+    with progress_line("localising", lambda: fraction[0], "cases") as update:
+
+        def progress(done: int, total: int) -> None:
+            fraction[0] = done / total
+            update(done)
+
+        outcome = localisation_experiment(
+            source, settings, poses=reference, test=other, test_poses=other_reference, associate=associate,
+            command=_command(), folder=make_folder(output), workers=workers, progress=progress,
+        )  # fmt: skip
+    for text in [*source.warnings, *(other.warnings if other is not None else [])]:
+        warn(text)
+    *files, rows, times = outcome.write(output)
+    for path in files:
+        say(f"wrote {path}")
+    wrote(rows, f"{len(outcome.results.rows):,} rows, one a scan, lattice and method")
+    wrote(times, "what each cost")
+
+
+def _command() -> str:
+    """Return the command line without what no number depends on: so the report is the same for any workers and folder.
+
+    The folder stays, by the name of one.
+    """
+    words = shlex.split(command_line())
+    out: list[str] = []
+    skip = False
+    for word in words:
+        name, _, value = word.partition("=")
+        if skip:
+            skip = False
+        elif name in ("--workers", "--output", "-o"):
+            skip = not value
+            out += [] if name == "--workers" else ["-o", "report"]
+        else:
+            out.append(word)
+    return shlex.join(out)
+
+
+def _settings(quick: bool, **values: Any) -> ExperimentSettings:
+    """Return the settings; what was asked for by number stands, also in a quick run."""
+    from dataclasses import replace
+
+    from localisation.experiments.settings import ExperimentSettings
+    from localisation.experiments.settings import quick as quicker
+
+    settings = ExperimentSettings(**values)
+    if not quick:
+        return settings
+    return replace(quicker(settings), **{name: values[name] for name in ("scans", "starts") if name in values})
+
+
+def _own(text: str) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in parse_basis(text))
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _numbers(text: str, option: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
+    """Return the numbers of an option.
+
+    Raises:
+        ArgumentError: one of them is not a number.
+    """
+    from hexmap.base.errors import ArgumentError
+
+    try:
+        return tuple(kind(word) for word in _words(text))
+    except ValueError:
+        raise ArgumentError(f"{option} takes numbers separated by commas, not {text!r}") from None
