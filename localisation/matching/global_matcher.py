@@ -149,7 +149,7 @@ class GlobalMatcher:
             angles: "continuous", or a step in radians: then the yaws are its multiples, from ``region.yaw`` on.
             apart: metres and radians within which a pose is the same as the best.
             runner_up: down to which part of the best score other poses are looked for; None: not at all.
-            least: share of the largest possible score, 0 to 1, below which no pose is looked for: what is hopeless is
+            least: share of the largest possible score, 0 to 1, below which no best pose is looked for: what is hopeless is
                 found to be so soonest.
             most_points: at most so many points, spread evenly, are searched with, and score and proof are of these;
                 None: of all. Of a LiDAR's scan some hundred tell as much as all of its thousands.
@@ -189,7 +189,7 @@ class GlobalMatcher:
         second: Found | None = None
         floor = 0
         if runner_up is not None and best.finished:
-            floor = max(begin, min(best.score, math.floor(runner_up * best.score)))
+            floor = min(best.score, math.floor(runner_up * best.score))
             second = search.run(floor, end, (best.pose, apart))
         pose, refined = best.pose, False
         if refine:

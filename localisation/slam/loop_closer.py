@@ -37,8 +37,8 @@ _NEIGHBOURS = 3
 _BENT = 1.5
 # Points of a submap that are matched at most: more take longer and say no more.
 _MOST_POINTS = 400
-# Share of them that must meet walls, cell by cell, before a match is worth a look: a third of what the overlap asks for,
-# in which walls of twice the width count.
+# Share of them that must meet walls, cell by cell, before a match is worth a look: a third of what the overlap asks,
+# for which walls of twice the width count.
 _LEAST = 0.1
 # In cells of the finest level: two submaps whose relative pose is known so well gain nothing by another loop.
 _KNOWN = 1.0
