@@ -149,8 +149,8 @@ class GlobalMatcher:
             angles: "continuous", or a step in radians: then the yaws are its multiples, from ``region.yaw`` on.
             apart: metres and radians within which a pose is the same as the best.
             runner_up: down to which part of the best score other poses are looked for; None: not at all.
-            least: share of the largest possible score, 0 to 1, below which no best pose is looked for: what is hopeless is
-                found to be so soonest.
+            least: share of the largest possible score, 0 to 1, below which no best pose is looked for: what is hopeless
+                is found to be so soonest.
             most_points: at most so many points, spread evenly, are searched with, and score and proof are of these;
                 None: of all. Of a LiDAR's scan some hundred tell as much as all of its thousands.
             refine: whether the pose is refined below a cell, with all points.
