@@ -2,6 +2,7 @@ from .evaluation import absolute_error, evaluate_relations, relative_error
 from .localiser.estimate import Estimate
 from .localiser.localiser import Localiser
 from .localiser.settings import LocaliserSettings
+from .mapping.add_run import add_run
 from .mapping.build_map import build_map
 from .mapping.fuse_log import fuse_log
 from .mapping.loop_closed_map import build_loop_closed_map
@@ -21,6 +22,7 @@ __all__ = [
     "Match",
     "SearchRegion",
     "absolute_error",
+    "add_run",
     "build_loop_closed_map",
     "build_map",
     "evaluate_relations",
