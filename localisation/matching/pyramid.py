@@ -39,7 +39,8 @@ MOST_WEIGHT = 65535
 PARTS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """What the points of a scan move, as parts of what its median point does, for which there are boxes."""
 FARTHEST_PART = PARTS[-1]
-_LOWEST = 2
+# Up to this level, by dimension; in space low levels are most of the search.
+_LOWEST = {2: 2, 3: 0}
 # Sheets are made for reaches in whole steps of so many indices, so that scans share them.
 _MARGIN = 128
 
@@ -110,7 +111,7 @@ def level_windows(lattice: Lattice, level: int) -> tuple[int, ...]:
 
     On the lowest levels, where tables are largest and points move by a cell or two, the smallest boxes are left out.
     """
-    parts = [max(part, 1.0) if level <= _LOWEST else part for part in PARTS]
+    parts = [max(part, 1.0) if level <= _LOWEST[lattice.dim] else part for part in PARTS]
     return tuple((1 << level) - 1 + most_spread(lattice, level, part) for part in parts)
 
 
