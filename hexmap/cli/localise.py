@@ -10,6 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.log_options import (
+    AngleMin,
+    AngleStep,
+    LaserName,
+    Mount,
+    NoReturn,
+    OdometryTopic,
+    ScanTopic,
+    log_values,
+)
 from hexmap.cli.plan.map_source import inputs_of
 from hexmap.cli.viewing import MinHits, MinRatio, rule_of
 
@@ -34,9 +44,7 @@ def localise(
         float | None, typer.Option(help="Resolution of that lattice, m.", show_default="the source's cell")
     ] = None,
     odometry: Annotated[bool, typer.Option(help="Predict the motion by odometry.")] = True,
-    mount: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Laser on the robot: x m, y m, heading degrees.")
-    ] = None,
+    mount: Mount = None,
     time_limit: Annotated[
         float | None, typer.Option(help="Seconds that a search over the whole map may take.", show_default="none")
     ] = None,
@@ -46,12 +54,12 @@ def localise(
     max_range: Annotated[float | None, typer.Option(help="Leave out points farther than this, m.")] = None,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
-    angle_min: Annotated[float | None, typer.Option(help="Direction of the first beam, degrees.")] = None,
-    angle_step: Annotated[float | None, typer.Option(help="Angle between beams, degrees.")] = None,
-    no_return: Annotated[float | None, typer.Option(help="Ranges from here on mean no return, m.")] = None,
-    laser: Annotated[str | None, typer.Option(help="front or rear, where a log has both.")] = None,
-    scan_topic: Annotated[str | None, typer.Option(help="Topic of the laser in a bag.")] = None,
-    odometry_topic: Annotated[str | None, typer.Option(help="Topic of the odometry in a bag.")] = None,
+    angle_min: AngleMin = None,
+    angle_step: AngleStep = None,
+    no_return: NoReturn = None,
+    laser: LaserName = None,
+    scan_topic: ScanTopic = None,
+    odometry_topic: OdometryTopic = None,
 ) -> None:
     """Find a robot in a map and follow it along a log; no start pose is needed.
 
@@ -75,14 +83,7 @@ def localise(
         "min_range": min_range,
         "use_odometry": odometry,
     }
-    read = {
-        "angle_min": None if angle_min is None else math.radians(angle_min),
-        "angle_step": None if angle_step is None else math.radians(angle_step),
-        "no_return": no_return,
-        "laser": laser,
-        "scan_topic": scan_topic,
-        "odometry_topic": odometry_topic,
-    }
+    read = log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic)
     try:
         settings = LocaliserSettings(**{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
         reading = LogSettings(**{k: v for k, v in read.items() if v is not None})  # type: ignore[arg-type]

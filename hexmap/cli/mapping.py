@@ -12,6 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.log_options import (
+    AngleMin,
+    AngleStep,
+    LaserName,
+    Mount,
+    NoReturn,
+    OdometryTopic,
+    ScanTopic,
+    log_values,
+)
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -97,21 +107,19 @@ def build(
     min_range: Annotated[float | None, typer.Option(help="Leave out points nearer than this, m.")] = None,
     max_range: Annotated[float | None, typer.Option(help="Leave out points farther than this, m.")] = None,
     clear_no_return: Annotated[float | None, typer.Option(help="Metres that a beam without return clears.")] = None,
-    mount: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Laser on the robot: x m, y m, heading degrees.")
-    ] = None,
+    mount: Mount = None,
     search_metres: Annotated[float | None, typer.Option(help="Search radius of the matcher.")] = None,
     search_degrees: Annotated[float | None, typer.Option(help="Search angle of the matcher, to both sides.")] = None,
     search_level: Annotated[int | None, typer.Option(help="Level that the matcher searches on.")] = None,
     odometry: Annotated[bool | None, typer.Option(help="Predict the motion by odometry.", show_default="on")] = None,
     min_hits: Annotated[int | None, typer.Option(help="Hits that make a cell occupied.")] = None,
     min_ratio: Annotated[float | None, typer.Option(help="Share of hits that makes a cell occupied.")] = None,
-    angle_min: Annotated[float | None, typer.Option(help="Direction of the first beam, degrees.")] = None,
-    angle_step: Annotated[float | None, typer.Option(help="Angle between beams, degrees.")] = None,
-    no_return: Annotated[float | None, typer.Option(help="Ranges from here on mean no return, m.")] = None,
-    laser: Annotated[str | None, typer.Option(help="front or rear, where a log has both.")] = None,
-    scan_topic: Annotated[str | None, typer.Option(help="Topic of the laser in a bag.")] = None,
-    odometry_topic: Annotated[str | None, typer.Option(help="Topic of the odometry in a bag.")] = None,
+    angle_min: AngleMin = None,
+    angle_step: AngleStep = None,
+    no_return: NoReturn = None,
+    laser: LaserName = None,
+    scan_topic: ScanTopic = None,
+    odometry_topic: OdometryTopic = None,
 ) -> None:
     """Build a map from a laser log: match every scan, or take given poses, and fuse."""
     from hexmap.base.errors import ArgumentError, TrajectoryError
@@ -133,6 +141,10 @@ def build(
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
         if path is not None and len(logs) > 1:
             raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
+    paths = [log.resolve() for log in logs]
+    for k, log in enumerate(logs):
+        if paths[k] in paths[:k]:
+            raise ArgumentError(f"{log}: named twice, and would count twice")
     asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
     for option in (name for name, value in asked.items() if value):
         if poses is not None or not loop_closure:
@@ -157,14 +169,7 @@ def build(
         search_level=search_level,
         use_odometry=odometry,
         rule={"min_hits": min_hits, "min_ratio": min_ratio},
-        log={
-            "angle_min": None if angle_min is None else math.radians(angle_min),
-            "angle_step": None if angle_step is None else math.radians(angle_step),
-            "no_return": no_return,
-            "laser": laser,
-            "scan_topic": scan_topic,
-            "odometry_topic": odometry_topic,
-        },
+        log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic),
     )
     sources = [open_log(log, settings.log) for log in logs]
     given = read_tum(poses) if poses is not None else None

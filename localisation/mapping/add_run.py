@@ -100,6 +100,9 @@ def _hold(map: Map, run: MappedRun, settings: MappingSettings, T_map_run: FloatA
     graph.add_node(np.zeros(3))
     for pose in before:
         graph.add_node(planar.compose(T_map_run, pose))
+    # What ties the two together where no submap is held: the place where the whole was found, give or take the window.
+    sigmas = np.array([_METRES, _METRES, _RADIANS]) / 2.0
+    graph.add_edge(Edge(0, 1, graph.pose(1), np.diag(sigmas**2)))
     for edge, weight in zip(own.edges, own.weights, strict=True):
         if weight > 0.5:
             graph.add_edge(replace(edge, i=edge.i + 1, j=edge.j + 1))
@@ -115,8 +118,8 @@ def _hold(map: Map, run: MappedRun, settings: MappingSettings, T_map_run: FloatA
     scans = _with_nodes(rows, np.array(run.result.node_scans), before, after)
     poses = carry_along(run.result, scans)
     node_of = np.searchsorted(np.flatnonzero(run.result.is_scan)[run.result.node_scans], np.arange(len(poses)), "right")
-    result = replace(run.result, poses=poses, covariances=covariances[np.maximum(node_of - 1, 0)], graph=graph)
-    return replace(run, result=result)
+    sure = covariances[np.maximum(node_of - 1, 0)]
+    return replace(run, result=replace(run.result, poses=poses, covariances=sure, graph=own.moved(after)))
 
 
 def _anchor(matcher: GlobalMatcher, points: FloatArray, pose: FloatArray, node: int) -> Edge | None:

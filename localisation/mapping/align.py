@@ -156,14 +156,13 @@ def align_maps(
     scale = _coarse_scale(a, b, settings.most_cells, rules)
     first, second = _side(a, rules[0], scale, "first map"), _side(b, rules[1], scale, "second map")
     # The best place alone takes half of the time, and maps of different places fail there.
-    match, searched = _search(first, second, settings)
+    match, searched = _search(first, second, settings, rivals=False)
     pose = _refine(a, rules[0], first, second, searched)
     met, overlap, contradicted = _agreement(first, second, pose)
     _check_agreement(met, overlap, contradicted, settings)
     match, _ = _search(first, second, settings, known=match.score)
     _check_margin(match, searched, second, first, settings)
     reverse_match, reverse = _search(second, first, settings)
-    reverse_match, _ = _search(second, first, settings, known=reverse_match.score)
     _check_margin(reverse_match, reverse, first, second, settings)
     reverse = _refine(b, rules[1], second, first, reverse)
     metres, radians = _difference(first, second, pose, reverse)
@@ -229,11 +228,11 @@ def _side(map: Map, rule: StateRule | None, scale: float, name: str) -> _Side:
 
 
 def _search(
-    there: _Side, what: _Side, settings: AlignSettings, known: int | None = None
+    there: _Side, what: _Side, settings: AlignSettings, *, rivals: bool = True, known: int = 0
 ) -> tuple[Match, Pose]:
     """Search the whole of one map for another; returns the match of the other's middle, and T_there_what.
 
-    ``known`` is the best score where that has been searched for: then what else would have fitted is searched for too.
+    ``rivals`` says whether what else would have fitted is searched for too, ``known`` is a score that is reached.
     """
     # The middle may lie wherever the farthest cell can still meet a wall.
     low, high = there.points.min(axis=0) - what.reach, there.points.max(axis=0) + what.reach
@@ -243,9 +242,9 @@ def _search(
     found = matcher.match(
         what.points - what.middle,
         apart=(apart, apart / max(0.5 * what.reach, apart)),
-        runner_up=None if known is None else 1.0 - settings.min_margin,
+        runner_up=1.0 - settings.min_margin if rivals else None,
         # Half a cell less, so that rounding cannot leave out the pose that is known.
-        least=0.0 if known is None else (known - 0.5) / len(what.points),
+        least=max(0.0, known - 0.5) / len(what.points),
         refine=False,
         time_limit=settings.time_limit,
     )

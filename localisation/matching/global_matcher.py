@@ -59,13 +59,11 @@ def spread_points(points: FloatArray, lattice: Lattice, most: int) -> FloatArray
     Of each cell of a coarser lattice, as fine as that allows, it is the thinned point nearest to the mean of all: so it
     lies on the surface that was seen.
     """
-    kept, _ = thin(points, lattice)
+    kept = fine = thin(points, lattice)[0]
     size = 1.0
     while len(kept) > most:
         size *= math.sqrt(2.0)
-        coarse = lattice.scaled(size)
-        fine, _ = thin(points, lattice)
-        index = coarse.quantise(fine)
+        index = lattice.scaled(size).quantise(fine)
         cells, cell = np.unique(index, axis=0, return_inverse=True)
         cell = cell.ravel()
         if len(cells) > most and len(cells) > 1:

@@ -96,6 +96,13 @@ class PoseGraph:
         """(N, 3) the poses of all nodes as they are now."""
         return np.array(self._poses).reshape(-1, 3)
 
+    def moved(self, poses: FloatArray) -> PoseGraph:
+        """Return the same graph with its nodes at other poses (N, 3)."""
+        out = PoseGraph()
+        out._poses = [np.array(pose) for pose in poses]
+        out.edges, out.weights = list(self.edges), list(self.weights)
+        return out
+
     def pose(self, node: int) -> FloatArray:
         """Return the pose (3,) of a node."""
         return self._poses[node]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -85,6 +86,20 @@ def test_a_second_run_lies_in_the_map_of_the_first(office: tuple[Path, Path, lis
     assert len(result.map.sources()) == 2
 
 
+def test_a_run_of_two_scans_is_added_where_it_is_found(office: tuple[Path, Path, list[Pose]], tmp_path: Path) -> None:
+    world = build_loop_closed_map(open_log(office[0])).map
+    short = tmp_path / "short.clf"
+    scans = [line for line in office[1].read_text().splitlines(keepends=True) if line.startswith("FLASER")]
+    short.write_text("".join(scans[:2]))
+    # So little has no submap; it is placed as a whole, or refused in words.
+    try:
+        result, found = add_run(world, open_log(short))
+    except AlignmentError:
+        return
+    assert math.dist(found.pose.translation, office[2][0].translation) < 0.2
+    assert result.scans == 2
+
+
 def test_a_run_of_another_building_is_refused(office: tuple[Path, Path, list[Pose]], tmp_path: Path) -> None:
     castle = tmp_path / "castle.clf"
     write_log(castle, make_building("castle"), laser=LASER, seed=1, duration=20.0)
@@ -117,6 +132,8 @@ def test_the_command_line_continues_a_map_and_maps_several_logs(
     for wrong in (["--poses", str(office[0].parent / "truth.tum")], ["--no-loop-closure"]):
         assert main(["build", second, "-o", str(tmp_path / "x.parquet"), "--continue", one, *wrong]) == 1
         assert "--continue" in capsys.readouterr().err
+    assert main(["build", second, second, "-o", str(tmp_path / "x.parquet")]) == 1
+    assert "twice" in capsys.readouterr().err
     assert not (tmp_path / "x.parquet").exists()
 
 
