@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hexmap.base.errors import HexmapError
-from hexmap.cli import benchmark, experiments, localisation_experiment, localise, mapping, viewing
+from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, viewing
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
 
@@ -28,7 +28,7 @@ app = typer.Typer(
 )
 app.command()(mapping.demo)
 app.command()(mapping.simulate)
-app.command()(mapping.build)
+app.command()(build.build)
 app.command()(localise.localise)
 app.command()(mapping.merge)
 app.command()(mapping.evaluate)

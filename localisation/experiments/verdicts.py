@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hexmap.base.arrays import FloatArray
 from hexmap.experiments.report.elements import Outcome, Verdict
 from hexmap.experiments.report.numbers import format_interval, format_number
 from hexmap.experiments.statistics import Interval, bootstrap, mean
 from localisation.experiments.comparison import Comparison, sign_test
 from localisation.experiments.results import Results, column, is_right
-from localisation.experiments.settings import THRESHOLDS
+from localisation.experiments.settings import THRESHOLDS, Grid
 
 __all__ = ["EQUAL_WORDS", "interval_of", "judge", "summary"]
 
@@ -130,42 +131,39 @@ def interval_of(values: Sequence[float] | np.ndarray, seed: int) -> Interval:
 
 def _against_angle_set(results: Results) -> list[Verdict]:
     """Compare all real angles with the fixed set, on every grid, by the strictest threshold."""
-    won = lost = 0
-    evidence = []
-    for grid in results.grids:
-        a, b = (
-            is_right(results.select(task="global", grid=grid.number, method=method), THRESHOLDS[0]).astype(np.float64)
-            for method in ("all angles", "angle set")
-        )
-        if not len(a):
-            return []
-        p = sign_test(a, b)
-        won, lost = won + (p <= 0.05 and a.mean() > b.mean()), lost + (p <= 0.05 and a.mean() < b.mean())
-        evidence.append(f"{grid.label} {grid.resolution:g} m {a.mean():.0%} and {b.mean():.0%}")
-    return [
-        Verdict(
-            "A search over all real angles finds more scans within 0.1 m and 1° than one over Cartographer's set of "
-            "angles",
-            "Anywhere", "holds" if won == len(results.grids) else "holds in part" if won > lost else "does not hold",
-            "exact sign test on every grid: holds where all have p <= 0.05, in part where more are won than lost",
-            "; ".join(evidence),
-        )
-    ]  # fmt: skip
+
+    def right(grid: Grid, method: str) -> FloatArray:
+        return is_right(results.select(task="global", grid=grid.number, method=method), THRESHOLDS[0]).astype(float)
+
+    return _better_on_every_grid(
+        results, right, ("all angles", "angle set"),
+        "A search over all real angles finds more scans within 0.1 m and 1° than one over Cartographer's set of "
+        "angles", "Anywhere",
+    )  # fmt: skip
 
 
 def _against_filter(results: Results) -> list[Verdict]:
     """Compare the localiser with the particle filter, start by start."""
+
+    def right(grid: Grid, method: str) -> FloatArray:
+        rows = results.select(task="localise", grid=grid.number, method=method)
+        last = {row["start"]: row for row in rows}.values()
+        return np.array([row["answered"] and is_right([row], THRESHOLDS[1])[0] for row in last], float)
+
+    return _better_on_every_grid(
+        results, right, ("localiser", "particle filter"),
+        "The localiser has localised more robots at the end than the particle filter, within 0.25 m and 2°", "Runs",
+    )  # fmt: skip
+
+
+def _better_on_every_grid(
+    results: Results, right: Callable[[Grid, str], FloatArray], methods: tuple[str, str], claim: str, topic: str
+) -> list[Verdict]:
+    """Compare two methods pair by pair, 1 where ``right`` and else 0; nothing where they were not run."""
     won = lost = 0
     evidence = []
     for grid in results.grids:
-        ends = []
-        for method in ("localiser", "particle filter"):
-            rows = results.select(task="localise", grid=grid.number, method=method)
-            last = {row["start"]: row for row in rows}
-            ends.append(
-                np.array([row["answered"] and is_right([row], THRESHOLDS[1])[0] for row in last.values()], float)
-            )
-        a, b = ends
+        a, b = (right(grid, method) for method in methods)
         if not len(a):
             return []
         p = sign_test(a, b)
@@ -173,8 +171,8 @@ def _against_filter(results: Results) -> list[Verdict]:
         evidence.append(f"{grid.label} {grid.resolution:g} m {a.mean():.0%} and {b.mean():.0%}")
     return [
         Verdict(
-            "The localiser has localised more robots at the end than the particle filter, within 0.25 m and 2°",
-            "Runs", "holds" if won == len(results.grids) else "holds in part" if won > lost else "does not hold",
+            claim, topic,
+            "holds" if won == len(results.grids) else "holds in part" if won > lost else "does not hold",
             "exact sign test on every grid: holds where all have p <= 0.05, in part where more are won than lost",
             "; ".join(evidence),
         )

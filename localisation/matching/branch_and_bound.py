@@ -8,7 +8,6 @@ good pose. With its score most of what is left can be dropped, and what cannot i
 from __future__ import annotations
 
 import math
-import threading
 import time
 from typing import Any, NamedTuple
 
@@ -17,15 +16,14 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import TooLargeError
-from hexmap.lattice.lattice import Lattice
-from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
-from localisation.matching.pyramid import FARTHEST_PART, OccupancyPyramid, cell_reach
+from localisation.matching.pyramid import FARTHEST_PART
 from localisation.matching.rotation_cells import cut_rotations
 from localisation.matching.search_region import SearchRegion
+from localisation.matching.search_space import SearchSpace, region_box, scan_arrays, stops_within
 from localisation.matching.sheets import Sheet
 
-__all__ = ["BranchAndBound", "Found", "SearchSpace"]
+__all__ = ["BranchAndBound", "Found"]
 
 # Nodes between two looks at the clock.
 _SLICE = 1 << 18
@@ -42,8 +40,6 @@ _LOOK_UP = 200
 # Rows of bounds that are held at once.
 _BATCH_BLOCKS = 1 << 21
 _MOST_NODES = 1 << 22
-# Lanes of 16 bits add up 257 times a byte.
-_LANE = 257
 # How many nodes of each level, the lowest first, the first quick look keeps.
 _WIDTHS = (64, 128, 256, 256, 256, 256, 256, 256, 256, 256)
 # Slots for cells of rotations, and bytes that they may take.
@@ -69,52 +65,6 @@ class _Nodes(NamedTuple):
     bound: IntArray
     level: IntArray
     node: IntArray
-
-
-class SearchSpace:
-    """What stays the same from scan to scan: the map's tables, and where the sensor may be.
-
-    Args:
-        pyramid: the weights of the map's cells.
-        known: the cells in which the sensor may be; None: anywhere in the box around the weights.
-
-    Attributes:
-        low: (n,) the lowest indices of those cells.
-        high: (n,) the highest.
-    """
-
-    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | None) -> None:
-        """Prepare the tables of the lattice and of the cells in which the sensor may be."""
-        from localisation.matching import _global_kernels as kernels
-        from localisation.matching import _pyramid_kernels
-
-        self.pyramid = pyramid
-        self.lattice: Lattice = pyramid.lattice
-        inverse = np.ascontiguousarray(np.linalg.inv(self.lattice.basis))
-        self.row_norms = np.linalg.norm(inverse, axis=1)
-        self.lattice_arrays = kernels.LatticeArrays(
-            np.array(self.lattice.basis, order="C"),
-            np.array(inverse, order="C"),
-            np.concatenate([cell_reach(self.lattice), self.row_norms]),
-            np.array(self.lattice.cell.faces, np.int64, order="C"),
-            np.array(self.lattice.cell.normals, np.float64, order="C"),
-        )
-        n = self.lattice.dim
-        if known is None:
-            self.low, self.high = pyramid.low, pyramid.high
-            self.allowed = (np.zeros(0, np.uint8), self.low, np.zeros(1, np.int64), np.zeros((1, n), np.int64))
-        else:
-            index = known.index.astype(np.int64)
-            self.low = index.min(axis=0) if len(index) else np.zeros(n, np.int64)
-            self.high = index.max(axis=0) if len(index) else np.zeros(n, np.int64)
-            shapes = [((self.high - self.low) >> level) + 1 for level in range(pyramid.levels + 1)]
-            marked = []
-            for level, shape in enumerate(shapes):
-                marked.append(np.zeros(math.prod(int(s) for s in shape), np.uint8))
-                _pyramid_kernels.mark_blocks(index, self.low, level, shape, marked[-1])
-            starts = np.cumsum([0, *[len(m) for m in marked[:-1]]])
-            self.allowed = (np.concatenate(marked), self.low, starts, np.array(shapes))
-        self.scratch = threading.local()
 
 
 class BranchAndBound:
@@ -147,10 +97,10 @@ class BranchAndBound:
         self.space = space
         self.kernels = kernels
         self.node_limit = node_limit
-        self.scan = _scan_arrays(space, points, weights)
+        self.scan = scan_arrays(space, points, weights)
         self.points: FloatArray = self.scan.points
         self.weights = self.scan.weights.astype(np.int64)
-        self.box, low, high = _region_box(space, region)
+        self.box, low, high = region_box(space, region)
         ranges = np.sqrt((self.points**2).sum(axis=1))
         farthest = float(ranges.max())
         radian = float(space.row_norms.max())
@@ -294,7 +244,7 @@ class BranchAndBound:
         weights = self.scan.weights.astype(np.uint16)
         out = np.empty((len(yaw), math.prod(int(b) for b in blocks)), np.int32)
         _sheet_kernels.add_up(
-            sheet, first, kind, covered, weights, _stops(self.weights, lane), self._most_steps(),
+            sheet, first, kind, covered, weights, stops_within(self.weights, lane), self._most_steps(),
             self.low, blocks, runs, np.empty(int(runs.sum(axis=1).max()), np.uint16), out,
         )  # fmt: skip
         return out
@@ -515,62 +465,6 @@ class BranchAndBound:
         index = self.space.lattice.quantise((Pose(rotation, np.zeros(n))).apply(self.points)) + best_node[1:]
         score = int((self.space.pyramid.weights(index) * self.weights).sum())
         return Found(score, max(most, score), pose, nodes, done)
-
-
-def _scan_arrays(space: SearchSpace, points: FloatArray, weights: IntArray) -> Any:
-    """Return the scan as the kernels see it, no point heavier than a lane of a sum holds."""
-    from localisation.matching import _global_kernels as kernels
-
-    # A lane of a sum holds 257 bytes: heavier points go in several times.
-    pieces = -(-weights // _LANE)
-    repeated = np.repeat(np.arange(len(points)), pieces)
-    share = weights[repeated] // pieces[repeated]
-    first = np.concatenate([[0], np.cumsum(pieces)[:-1]])
-    share[first] += weights - (weights // pieces) * pieces
-    order = _spread_order(len(repeated))
-    p = np.ascontiguousarray(points[repeated][order])
-    w = share[order]
-    rest = np.append(np.cumsum(w[::-1])[::-1], 0) * space.pyramid.most
-    inverse = space.lattice_arrays.inverse
-    x, y = p[:, :1], p[:, 1:2]
-    # Written out: a matrix product may round a row differently when the number of rows changes.
-    waves = np.stack([x * inverse[:, 0] + y * inverse[:, 1], x * inverse[:, 1] - y * inverse[:, 0]], axis=-1)
-    return kernels.ScanArrays(p, waves, w.astype(np.uint64), rest, _stops(w, _LANE, 16))
-
-
-def _region_box(space: SearchSpace, region: SearchRegion) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return the corners of a region in metres, and the lowest and highest shifts of it."""
-    n = space.lattice.dim
-    box = region.box(space.lattice)
-    if box is None:
-        return np.array([np.full(n, -np.inf), np.full(n, np.inf)]), space.low, space.high
-    corners = np.stack(np.meshgrid(*np.stack(box).T, indexing="ij"), axis=-1).reshape(-1, n)
-    u = corners @ space.lattice_arrays.inverse.T
-    low = np.maximum(space.low, np.floor(u.min(axis=0) - 1e-9).astype(np.int64))
-    high = np.minimum(space.high, np.ceil(u.max(axis=0) + 1e-9).astype(np.int64))
-    return np.stack(box), low, high
-
-
-def _spread_order(count: int) -> IntArray:
-    """Return 0 to ``count`` - 1 so that the first few are spread over all: the bits of a counter reversed."""
-    bits = max(1, (count - 1).bit_length())
-    numbers = np.arange(1 << bits)
-    reverse = np.zeros_like(numbers)
-    for b in range(bits):
-        reverse |= ((numbers >> b) & 1) << (bits - 1 - b)
-    return reverse[reverse < count]
-
-
-def _stops(weights: IntArray, lane: int, most: int | None = None) -> IntArray:
-    """Return after how many points a sum is put away: before more than ``lane`` weights, after ``most`` points."""
-    stops: list[int] = []
-    total = since = 0
-    for p, w in enumerate(weights.tolist()):
-        if p > since and (total + w > lane or (most is not None and p - since >= most)):
-            stops.append(p)
-            total, since = 0, p
-        total += w
-    return np.array([*stops, len(weights)])
 
 
 def _runs(blocks: IntArray, strides: IntArray) -> IntArray:

@@ -26,13 +26,14 @@ from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.beams import contradicted_share
-from localisation.matching.branch_and_bound import BranchAndBound, Found, SearchSpace
+from localisation.matching.branch_and_bound import BranchAndBound, Found
 from localisation.matching.information import score_covariance
 from localisation.matching.match import Match, RunnerUp
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.refinement import refine_on
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
+from localisation.matching.search_space import SearchSpace
 
 __all__ = ["GlobalMatcher", "match_anywhere", "spread_points", "thin"]
 

@@ -16,15 +16,11 @@ Trajectory and maps are kept in the folder given with ``--cache``, so that a sec
 from __future__ import annotations
 
 import argparse
-import contextlib
 import hashlib
 import itertools
 import math
 import multiprocessing
-import os
 import pickle
-import platform
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -54,7 +50,7 @@ from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
-from tests.benchmarks._common import data_folder, table, versions
+from tests.benchmarks._common import data_folder, run_figures, table
 
 # Every so many scans one is held out of the map and looked for.
 HELD_OUT = 20
@@ -624,33 +620,17 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks.localisation", description="Figures of localisation."
     )
-    parser.add_argument("figures", nargs="*", help=f"{', '.join(FIGURES)}; all without a name")
-    parser.add_argument("--cache", type=Path, help="folder for trajectory and maps; none keeps nothing")
     parser.add_argument("--scans", type=int, default=40, help="of each map that are looked for")
     parser.add_argument("--foreign", type=int, default=60, help="scans of each other building")
     parser.add_argument("--space", type=int, default=6, help="scans of the hall, a lattice")
     parser.add_argument("--simulated", type=int, default=40, help="scans of each simulated building")
     parser.add_argument("--margin", type=float, default=0.05, help="below it a match is ambiguous")
     parser.add_argument("--limit", type=float, default=4.0, help="seconds after which a search gives up")
-    chosen = parser.parse_args(arguments)
-    figures = chosen.figures or list(FIGURES)
-    for figure in figures:
-        if figure not in FIGURES:
-            parser.error(f"no figure {figure!r}: {', '.join(FIGURES)}")
-    sizes = Sizes(chosen.scans, chosen.foreign, chosen.space, chosen.simulated, chosen.margin, chosen.limit)
-    print(versions("hexmap", "numpy", "numba", "rosbags"))
-    print(f"Python {platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores, {sizes}\n")
-    with contextlib.ExitStack() as stack:
-        cache = chosen.cache or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        cache.mkdir(parents=True, exist_ok=True)
-        for figure in figures:
-            if figure != "calibration" and not (data_folder() / "laser2d").is_dir():
-                print(f"{figure} is left out: no shared data (set HEXMAP_DATA)\n")
-                continue
-            begin = time.perf_counter()
-            print(f"== {figure}\n")
-            FIGURES[figure](cache, sizes)
-            print(f"({figure}: {time.perf_counter() - begin:.0f} s)\n", flush=True)
+
+    def sizes(chosen: argparse.Namespace) -> Sizes:
+        return Sizes(chosen.scans, chosen.foreign, chosen.space, chosen.simulated, chosen.margin, chosen.limit)
+
+    run_figures(parser, arguments, FIGURES, sizes, simulated=["calibration"])
 
 
 if __name__ == "__main__":

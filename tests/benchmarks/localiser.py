@@ -13,17 +13,12 @@ up; both drives come back to the door where they began, and so does the track. A
 from __future__ import annotations
 
 import argparse
-import contextlib
 import itertools
 import math
-import os
-import platform
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -42,7 +37,7 @@ from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
 from localisation.mapping.fuse_log import readings_at_poses
 from localisation.matching.global_matcher import GlobalMatcher
-from tests.benchmarks._common import data_folder, table, versions
+from tests.benchmarks._common import data_folder, run_figures, table
 from tests.benchmarks.localisation import kept, look, own_trajectory, planar_world, share, warm_up
 
 # Where the logs of Wean Hall begin: a scan before the robot moves far, and T_map_robot there.
@@ -358,30 +353,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks.localiser", description="Figures of the localiser."
     )
-    parser.add_argument("figures", nargs="*", help=f"{', '.join(FIGURES)}; all without a name")
-    parser.add_argument("--cache", type=Path, help="folder for trajectories and maps; none keeps nothing")
     parser.add_argument("--instants", type=int, default=50, help="random instants of each log")
     parser.add_argument("--length", type=int, default=300, help="scans from each at the most")
     parser.add_argument("--foreign", type=int, default=700, help="scans of each log in each map of another building")
-    chosen = parser.parse_args(arguments)
-    figures = chosen.figures or list(FIGURES)
-    for figure in figures:
-        if figure not in FIGURES:
-            parser.error(f"no figure {figure!r}: {', '.join(FIGURES)}")
-    sizes = Sizes(chosen.instants, chosen.length, chosen.foreign)
-    print(versions("hexmap", "numpy", "numba"))
-    print(f"Python {platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores, {sizes}\n")
-    if not (data_folder() / "laser2d").is_dir():
-        print("left out: no shared data (set HEXMAP_DATA)\n")
-        return
-    with contextlib.ExitStack() as stack:
-        cache: Any = chosen.cache or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        cache.mkdir(parents=True, exist_ok=True)
-        for figure in figures:
-            begin = time.perf_counter()
-            print(f"== {figure}\n")
-            FIGURES[figure](cache, sizes)
-            print(f"({figure}: {time.perf_counter() - begin:.0f} s)\n", flush=True)
+    run_figures(parser, arguments, FIGURES, lambda chosen: Sizes(chosen.instants, chosen.length, chosen.foreign))
 
 
 if __name__ == "__main__":

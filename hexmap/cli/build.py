@@ -1,0 +1,371 @@
+"""The command that builds a map from laser logs."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.log_options import (
+    AngleMin,
+    AngleStep,
+    LaserName,
+    Mount,
+    NoReturn,
+    OdometryTopic,
+    ScanTopic,
+    log_values,
+)
+
+if TYPE_CHECKING:
+    from hexmap.maps.map import Map
+    from localisation.mapping.result import MappingResult
+    from localisation.settings import MappingSettings
+
+
+class Associate(StrEnum):
+    """How two lists of poses go together."""
+
+    time = "time"
+    order = "order"
+
+
+class Readings(StrEnum):
+    """Which readings get a pose in a trajectory file."""
+
+    all = "all"
+    scans = "scans"
+
+
+def build(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...",
+            help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP; several of one place are mapped together.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
+    lattice: Annotated[str | None, typer.Option(help="Z2 or A2.", show_default="A2")] = None,
+    resolution: Annotated[
+        float | None, typer.Option(help="Side, m, of the square as large as a cell.", show_default="0.05")
+    ] = None,
+    levels: Annotated[int | None, typer.Option(help="Levels at doubling resolution.", show_default="3")] = None,
+    trajectory: Annotated[Path | None, typer.Option(help="Where to write the poses (TUM).")] = None,
+    trajectory_of: Annotated[Readings, typer.Option(help="Poses of all readings or of the scans.")] = Readings.all,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the map (.png, .svg, .pdf).")] = None,
+    loop_closure: Annotated[bool, typer.Option(help="Find loops and close them.")] = True,
+    loops: Annotated[Path | None, typer.Option(help="Where to write every loop that was tried (CSV).")] = None,
+    loops_picture: Annotated[Path | None, typer.Option(help="Where to draw graph and loops.")] = None,
+    graph: Annotated[Path | None, typer.Option(help="Where to write the graph of poses (g2o).")] = None,
+    covariance: Annotated[Path | None, typer.Option(help="Where to write how sure each pose is (CSV).")] = None,
+    continue_map: Annotated[
+        Path | None, typer.Option("--continue", help="A map in which the log is found, and to which it is added.")
+    ] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="Folder in which a run that is killed is found again and goes on.")
+    ] = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) to fuse at, instead of matching.")] = None,
+    associate: Annotated[
+        Associate | None, typer.Option(help="How --poses go with scans.", show_default="order where the numbers agree")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings: JSON of `hexmap info --config`, or a map.")] = None,
+    min_range: Annotated[float | None, typer.Option(help="Leave out points nearer than this, m.")] = None,
+    max_range: Annotated[float | None, typer.Option(help="Leave out points farther than this, m.")] = None,
+    clear_no_return: Annotated[float | None, typer.Option(help="Metres that a beam without return clears.")] = None,
+    mount: Mount = None,
+    search_metres: Annotated[float | None, typer.Option(help="Search radius of the matcher.")] = None,
+    search_degrees: Annotated[float | None, typer.Option(help="Search angle of the matcher, to both sides.")] = None,
+    search_level: Annotated[int | None, typer.Option(help="Level that the matcher searches on.")] = None,
+    odometry: Annotated[bool | None, typer.Option(help="Predict the motion by odometry.", show_default="on")] = None,
+    min_hits: Annotated[int | None, typer.Option(help="Hits that make a cell occupied.")] = None,
+    min_ratio: Annotated[float | None, typer.Option(help="Share of hits that makes a cell occupied.")] = None,
+    angle_min: AngleMin = None,
+    angle_step: AngleStep = None,
+    no_return: NoReturn = None,
+    laser: LaserName = None,
+    scan_topic: ScanTopic = None,
+    odometry_topic: OdometryTopic = None,
+) -> None:
+    """Build a map from a laser log: match every scan, or take given poses, and fuse."""
+    from hexmap.base.errors import ArgumentError, TrajectoryError
+    from hexmap.drawing.map_drawing import check_picture
+    from hexmap.io.logs.open_log import open_log
+    from hexmap.io.trajectories import read_tum
+
+    of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
+    check_outputs(
+        {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
+        tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
+    )
+    for path in (picture, loops_picture):
+        if path is not None:
+            check_picture(path)
+    for option, path in of_loops.items():
+        if path is not None and (poses is not None or not loop_closure):
+            how = "--poses" if poses is not None else "--no-loop-closure"
+            raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
+        if path is not None and len(logs) > 1:
+            raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
+    paths = [log.resolve() for log in logs]
+    for k, log in enumerate(logs):
+        if paths[k] in paths[:k]:
+            raise ArgumentError(f"{log}: named twice, and would count twice")
+    asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
+    for option in (name for name, value in asked.items() if value):
+        if poses is not None or not loop_closure:
+            how = "--poses" if poses is not None else "--no-loop-closure"
+            raise ArgumentError(f"{option} and {how} do not go together: it takes runs whose loops are closed")
+    old = None
+    if continue_map is not None:
+        from hexmap.io.map_file import load_map
+
+        old = load_map(continue_map)
+    settings = _settings(
+        config if old is None or config is not None else continue_map,
+        lattice=lattice,
+        resolution=resolution,
+        levels=levels,
+        min_range=min_range,
+        max_range=max_range,
+        clear_no_return=clear_no_return,
+        mount=None if mount is None else (mount[0], mount[1], math.radians(mount[2])),
+        search_metres=search_metres,
+        search_radians=None if search_degrees is None else math.radians(search_degrees),
+        search_level=search_level,
+        use_odometry=odometry,
+        rule={"min_hits": min_hits, "min_ratio": min_ratio},
+        log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic),
+    )
+    sources = [open_log(log, settings.log) for log in logs]
+    given = read_tum(poses) if poses is not None else None
+    if given is not None and not given.planar:
+        raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
+    first_run_note()
+    result = build_and_report(
+        sources, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure, old, checkpoint
+    )
+    if result.slam is not None:
+        _write_loops(result, settings, loops, loops_picture, graph, covariance)
+
+
+def _write_loops(
+    result: MappingResult,
+    settings: MappingSettings,
+    loops: Path | None,
+    picture: Path | None,
+    graph: Path | None,
+    covariance: Path | None,
+) -> None:
+    """Say what was found of loops, and write what is asked for of them."""
+    from localisation.slam.loop_files import write_covariances, write_loops
+
+    slam = result.slam
+    assert slam is not None
+    accepted = [(r.i, r.j) for r in slam.records if r.accepted]
+    rejected = [(r.i, r.j) for r in slam.records if not r.accepted]
+    say(f"{len(slam.graph)} nodes; {len(slam.records)} loops tried: {len(accepted)} closed, {len(rejected)} rejected")
+    if loops is not None:
+        write_loops(loops, slam)
+        wrote(loops, "every loop that was tried")
+    if graph is not None:
+        slam.graph.write_g2o(graph)
+        wrote(graph, "graph of poses, g2o")
+    if covariance is not None:
+        write_covariances(covariance, slam)
+        wrote(covariance, "how sure each pose is")
+    if picture is not None:
+        from hexmap.drawing.graph_drawing import draw_graph
+
+        draw_graph(
+            result.map, picture, slam.poses[slam.is_scan, :2], slam.graph.poses[:, :2], accepted, rejected,
+            settings.rule,
+        )  # fmt: skip
+        wrote(picture, "graph and loops")
+
+
+def _settings(config: Path | None, **options: Any) -> MappingSettings:
+    """Return the settings of a configuration file, or the defaults, with the options that were given."""
+    from hexmap.base.errors import ArgumentError, HexmapError
+    from localisation.settings import MappingSettings
+
+    values = _read_config(config) if config is not None else {}
+    if config is not None:
+        try:
+            MappingSettings.from_dict(values)
+        except HexmapError as error:
+            raise type(error)(f"{config}: {error}") from error
+        if options.get("levels") is not None and "search_level" in values:
+            values["search_level"] = max(0, min(int(values["search_level"]), options["levels"] - 1))
+    for name, value in options.items():
+        if isinstance(value, dict):
+            given = {k: v for k, v in value.items() if v is not None}
+            if given:
+                values[name] = {**values.get(name, {}), **given}
+        elif value is not None:
+            values[name] = value
+    if "levels" in values and "search_level" not in values:
+        if int(values["levels"]) < 1:
+            raise ArgumentError(f"a map has 1 to 16 levels, not {values['levels']}")
+        # A map of one level is searched on that one.
+        values["search_level"] = min(1, int(values["levels"]) - 1)
+    return MappingSettings.from_dict(values)
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    """Return the settings in a JSON file (what ``info --config`` prints) or in a map.
+
+    Raises:
+        FormatError: it is neither, or the map came from more than one log.
+    """
+    import json
+
+    from hexmap.base.errors import FileAccessError, FormatError
+    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.map_file import load_map
+
+    try:
+        if is_parquet(path):
+            settings = [s["settings"] for s in load_map(path).sources() if isinstance(s.get("settings"), dict)]
+            if len(settings) != 1 and any(s != settings[0] for s in settings):
+                raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")
+            if not settings:
+                raise FormatError(f"{path}: the map does not say how it was made")
+            value = settings[0]
+        else:
+            value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileAccessError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: neither JSON nor a map of hexmap") from error
+    except RecursionError as error:
+        raise FormatError(f"{path}: not a configuration: nested too deeply") from error
+    except json.JSONDecodeError as error:
+        raise FormatError(f"{path}: line {error.lineno}: not JSON: {error.msg}") from error
+    if not isinstance(value, dict):
+        raise FormatError(f"{path}: a configuration is a JSON object")
+    return value
+
+
+def _map_logs(
+    sources: list[Any], settings: MappingSettings, old: Map | None, checkpoint: Path | None, on_pose: Any
+) -> MappingResult:
+    """Map one log after the other, each found in the map of those before it."""
+    from localisation.mapping.add_run import add_run
+    from localisation.mapping.align import pose_words
+    from localisation.mapping.checkpoint import Checkpoints
+    from localisation.mapping.loop_closed_map import build_loop_closed_map
+
+    kept = [None if checkpoint is None else Checkpoints(checkpoint / str(k)) for k in range(len(sources))]
+    result: MappingResult | None = None
+    world = old
+    for source, checkpoints in zip(sources, kept, strict=True):
+        if checkpoints is not None and checkpoints.path.exists():
+            say(f"{source.path}: goes on from {checkpoints.path}")
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        if world is None:
+            new = build_loop_closed_map(source, settings, **how)
+        else:
+            new, found = add_run(world, source, settings, **how)
+            say(f"{source.path}: begins at {pose_words(found.pose)} in the map; {found.met} cells of walls meet")
+        world = new.map
+        result = new if result is None else replace(
+            new, scans=result.scans + new.scans, odometry=result.odometry + new.odometry,
+            matched=result.matched + new.matched, unmatched=result.unmatched + new.unmatched,
+            mean_part=(result.mean_part * result.matched + new.mean_part * new.matched)
+            / max(1, result.matched + new.matched),
+            metres=result.metres + new.metres, warnings=[*result.warnings, *new.warnings],
+        )  # fmt: skip
+    assert result is not None
+    return result
+
+
+def _forget(folder: Path, count: int) -> None:
+    """Remove the checkpoints of runs that are done, and the folders if they are empty."""
+    import contextlib
+
+    from localisation.mapping.checkpoint import Checkpoints
+
+    for k in range(count):
+        Checkpoints(folder / str(k)).forget()
+    for path in [*(folder / str(k) for k in range(count)), folder]:
+        with contextlib.suppress(OSError):
+            path.rmdir()
+
+
+def build_and_report(
+    sources: list[Any],
+    settings: MappingSettings,
+    output: Path,
+    trajectory: Path | None,
+    trajectory_of: Readings,
+    picture: Path | None,
+    given: Any,
+    associate: Associate | None,
+    loop_closure: bool = True,
+    old: Map | None = None,
+    checkpoint: Path | None = None,
+) -> MappingResult:
+    """Build, write and report; returns the result."""
+    from contextlib import ExitStack
+
+    from hexmap.io.map_file import save_map
+    from hexmap.io.trajectories import TumWriter
+    from localisation.mapping.build_map import build_map
+    from localisation.mapping.fuse_log import fuse_log
+
+    source = sources[0]
+    begin = time.monotonic()
+    drawn: list[tuple[float, float]] = []
+    with ExitStack() as stack:
+        writer = stack.enter_context(TumWriter(trajectory)) if trajectory is not None else None
+
+        def on_pose(stamp: float, pose: Any, is_scan: bool) -> None:
+            if writer is not None and (is_scan or trajectory_of is Readings.all):
+                writer.append(stamp, pose)
+            if picture is not None and is_scan:
+                drawn.append((pose.x, pose.y))
+
+        if given is None and loop_closure:
+            result = _map_logs(sources, settings, old, checkpoint, on_pose)
+        else:
+            with progress_line("mapping", source.fraction) as progress:
+                if given is None:
+                    result = build_map(source, settings, on_pose=on_pose, progress=progress)
+                else:
+                    how = None if associate is None else associate.value
+                    result = fuse_log(source, given, settings, associate=how, on_pose=on_pose, progress=progress)
+        seconds = time.monotonic() - begin
+        save_map(output, result.map)
+    if checkpoint is not None:
+        _forget(checkpoint, len(sources))
+    for text in result.warnings:
+        warn(text)
+    if len(result.map.levels[0].hits) == 0:
+        warn(f"{source.path}: no point of it is in the map; see --min-range, --max-range and --no-return")
+    how = f"{result.mean_part:.0%} of a scan's cells coincide on average" if result.matched else "nothing to match"
+    how = "given poses" if given is not None else how
+    say(
+        f"{result.scans} scans, {result.odometry} odometry readings, {result.metres:.1f} m, "
+        f"in {seconds:.1f} s ({1000 * seconds / max(result.scans, 1):.1f} ms a scan); {how}"
+    )
+    if result.skipped:
+        warn(f"{source.path}: {result.skipped} scans have no pose and were left out")
+    if result.unmatched:
+        warn(f"{source.path}: {result.unmatched} scans coincide with nothing and kept their predicted pose")
+    hits = len(result.map.levels[0].hits)
+    wrote(output, f"{len(result.map.levels)} levels, {hits} cells hit, {result.map.lattice.title}")
+    if trajectory is not None:
+        wrote(trajectory, f"poses of {'all readings' if trajectory_of is Readings.all else 'the scans'}, TUM")
+    if picture is not None:
+        from hexmap.drawing.map_drawing import draw_map
+
+        draw_map(result.map, picture, trajectory=drawn, rule=settings.rule)
+        wrote(picture, "picture")
+    return result
