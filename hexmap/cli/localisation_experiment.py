@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -77,10 +78,11 @@ def localisation(
             fraction[0] = done / total
             update(done)
 
-        outcome = localisation_experiment(
-            source, settings, poses=reference, test=other, test_poses=other_reference, associate=associate,
-            command=_command(), folder=make_folder(output), workers=workers, progress=progress,
-        )  # fmt: skip
+        with _removed_if_empty(output):
+            outcome = localisation_experiment(
+                source, settings, poses=reference, test=other, test_poses=other_reference, associate=associate,
+                command=_command(), folder=make_folder(output), workers=workers, progress=progress,
+            )  # fmt: skip
     for text in [*source.warnings, *(other.warnings if other is not None else [])]:
         warn(text)
     *files, rows, times = outcome.write(output)
@@ -88,6 +90,19 @@ def localisation(
         say(f"wrote {path}")
     wrote(rows, f"{len(outcome.results.rows):,} rows, one a scan, lattice and method")
     wrote(times, "what each cost")
+
+
+@contextmanager
+def _removed_if_empty(folder: Path) -> Iterator[None]:
+    """Leave no folder behind that was made for nothing."""
+    there = folder.exists()
+    try:
+        yield
+    except BaseException:
+        if not there:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def _command() -> str:
