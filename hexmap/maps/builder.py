@@ -101,6 +101,25 @@ class MapBuilder:
             counter.fuse(T_map_scan.translation, ends, len(points))
         self.scans += 1
 
+    def add_hits(self, scan: Scan, T_map_scan: Pose) -> None:
+        """Add a scan's points as hits, and say nothing of the cells that its beams went through.
+
+        Raises:
+            ArgumentError: scan, pose and lattice are not all of the same dimension.
+            BoundsError: a point falls outside the range of indices; nothing of the scan is added.
+        """
+        n = self.lattice.dim
+        if scan.dim != n or T_map_scan.dim != n:
+            raise ArgumentError(
+                f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
+            )
+        ranges = np.sqrt((scan.points**2).sum(axis=1))
+        points = T_map_scan.apply(scan.points[(ranges >= self._min_range) & (ranges <= self._max_range)])
+        index = [counter.lattice.quantise(points) for counter in self._counters]
+        for counter, cells in zip(self._counters, index, strict=True):
+            counter.add(cells)
+        self.scans += 1
+
     def build(self, frame: str = "map", source: Mapping[str, Any] | None = None, *, finish: bool = False) -> Map:
         """Return the map of all scans fused so far.
 

@@ -27,6 +27,14 @@ def _rows(values: object, what: str) -> NDArray[np.float64]:
     return a
 
 
+def _one_a_point(values: object, what: str, count: int) -> NDArray[np.float64]:
+    a = np.ascontiguousarray(values, dtype=np.float64)[:]
+    if a.shape != (count,):
+        raise ArgumentError(f"the {what} of a scan of {count} points must be ({count},), not {a.shape}")
+    a.setflags(write=False)
+    return a
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """One sweep of a range sensor, in the sensor's frame.
@@ -37,6 +45,9 @@ class Scan:
         no_return: (M, n) unit directions of the beams that returned nothing.
         odometry: the pose of the robot in the odometry's frame that came with the scan, if any.
         line: line of the log (or the message's number) that the scan was read from, if any.
+        times: (N,) float64 seconds from ``stamp`` to when each point was measured (negative before it), where the
+            sensor says so: points of a moving sensor are each in the sensor's frame at their own time.
+        intensity: (N,) float64 of each point, in the sensor's units, where it says so.
     """
 
     stamp: float
@@ -44,6 +55,8 @@ class Scan:
     no_return: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     odometry: Pose | None = None
     line: int | None = None
+    times: NDArray[np.float64] | None = None
+    intensity: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays contiguous float64 and read-only."""
@@ -55,6 +68,10 @@ class Scan:
         object.__setattr__(self, "no_return", _rows(no_return, "rays without return"))
         if self.no_return.shape[1] != points.shape[1]:
             raise ArgumentError("points and rays without return must have the same dimension")
+        for name in ("times", "intensity"):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, _one_a_point(values, name, len(points)))
 
     @property
     def dim(self) -> int:

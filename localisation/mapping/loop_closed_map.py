@@ -26,7 +26,7 @@ from localisation.slam.rematch import rematch
 from localisation.slam.settings import LoopSettings
 from localisation.slam.slam import Slam, SlamResult
 
-__all__ = ["MappedRun", "Phase", "build_loop_closed_map", "fuse_run", "map_run"]
+__all__ = ["MappedRun", "Phase", "build_loop_closed_map", "fuse_run", "map_run", "silent"]
 
 Phase: TypeAlias = Callable[[str, Callable[[], float]], AbstractContextManager[Progress]]
 """Begins a phase of the work: its name, and what tells which part of it is done."""
@@ -92,7 +92,7 @@ def map_run(
     checkpoints: Checkpoints | None = None,
 ) -> MappedRun:
     """Find the poses of a log: arguments and errors as of :func:`build_loop_closed_map`."""
-    loops, phase = loops or LoopSettings(), phase or _silent
+    loops, phase = loops or LoopSettings(), phase or silent
     slam: Slam | None = None
     unusable = UnusableScans(log)
     begun = None if checkpoints is None else checkpoints.find(log, settings, loops)
@@ -138,7 +138,7 @@ def fuse_run(
 ) -> MappingResult:
     """Fuse the scans of a run at its poses."""
     log, slam, result = run.log, run.slam, run.result
-    phase = phase or _silent
+    phase = phase or silent
     builder = make_builder(settings)
     recorder = PoseRecorder(on_pose)
     scans = iter(result.scans)
@@ -164,5 +164,6 @@ def fuse_run(
 
 
 @contextmanager
-def _silent(name: str, fraction: Callable[[], float]) -> Iterator[Progress]:
+def silent(name: str, fraction: Callable[[], float]) -> Iterator[Progress]:
+    """A phase that shows nothing."""
     yield lambda scans: None

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.errors import LogError
+from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.io.logs.log import Log
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
+from localisation.lidar_settings import LidarSettings
 from localisation.odometry.motion import FARTHEST_JUMP
 from localisation.settings import MappingSettings
 from localisation.slam.slam import SlamResult
@@ -52,7 +54,7 @@ class MappingResult:
 class UnusableScans:
     """Counts the scans that cannot go into the map and remembers the first, for one clear line."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: Log | LidarLog) -> None:
         self.log = log
         self._count = 0
         self._first = ""
@@ -111,7 +113,7 @@ def jump_warnings(log: Log, count: int) -> list[str]:
     ]
 
 
-def provenance(log: Log, settings: MappingSettings, result: str) -> dict[str, Any]:
+def provenance(log: Log | LidarLog, settings: MappingSettings | LidarSettings, result: str) -> dict[str, Any]:
     """Return what the map file says of where the map came from."""
     import numba
 

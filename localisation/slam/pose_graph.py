@@ -5,7 +5,9 @@ graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, "Graduated non-co
 2020), in which the edges of the chain are known to be true. Covariances come from the normal equations here, because
 gtsam's joint marginals of many pairs take a factorisation each.
 
-A covariance is that of a small motion in the frame of the later pose, x, y, heading: gtsam's order in the plane.
+A covariance is that of a small motion in the frame of the later pose: in the plane x, y, heading, in space translation
+and rotation vector. Poses are rows, of three numbers in the plane and of twelve in space; the graph's geometry says
+what they mean (:mod:`localisation.slam.planar`, :mod:`localisation.slam.spatial`).
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ import numpy as np
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.atomic_files import atomic_path
 from hexmap.base.errors import MissingDependencyError
-from localisation.slam.planar import adjoint, between
+from localisation.slam.planar import PLANE, PlaneGeometry
+from localisation.slam.spatial import SpaceGeometry
 
 __all__ = ["Edge", "PoseGraph", "import_gtsam"]
 
@@ -53,8 +56,8 @@ class Edge:
     Attributes:
         i: number of the node that is seen from.
         j: number of the node that is seen.
-        pose: (3,) T_i_j.
-        covariance: (3, 3) of a small motion in the frame of j.
+        pose: T_i_j as a row, (3,) or in space (12,).
+        covariance: (3, 3), or in space (6, 6), of a small motion in the frame of j.
         loop: whether it closes a loop, and so may be false.
     """
 
@@ -69,12 +72,14 @@ class PoseGraph:
     """Poses of nodes and the edges between them; the first node never moves.
 
     Attributes:
+        geometry: of the plane or of space.
         edges: all edges, in the order in which they came.
         weights: (E,) what the robust solution left of each edge, 0 to 1.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, geometry: PlaneGeometry | SpaceGeometry = PLANE) -> None:
         """Make a graph without a node."""
+        self.geometry = geometry
         self._poses: list[FloatArray] = []
         self.edges: list[Edge] = []
         self.weights: list[float] = []
@@ -93,22 +98,22 @@ class PoseGraph:
 
     @property
     def poses(self) -> FloatArray:
-        """(N, 3) the poses of all nodes as they are now."""
-        return np.array(self._poses).reshape(-1, 3)
+        """The poses of all nodes as they are now, rows (N, 3) or in space (N, 12)."""
+        return np.array(self._poses).reshape(-1, self.geometry.row)
 
     def moved(self, poses: FloatArray) -> PoseGraph:
-        """Return the same graph with its nodes at other poses (N, 3)."""
-        out = PoseGraph()
+        """Return the same graph with its nodes at other poses, rows (N, 3) or (N, 12)."""
+        out = PoseGraph(self.geometry)
         out._poses = [np.array(pose) for pose in poses]
         out.edges, out.weights = list(self.edges), list(self.weights)
         return out
 
     def pose(self, node: int) -> FloatArray:
-        """Return the pose (3,) of a node."""
+        """Return the pose of a node, a row."""
         return self._poses[node]
 
     def add_node(self, pose: FloatArray) -> int:
-        """Add a node at a pose (3,); returns its number."""
+        """Add a node at a pose, a row; returns its number."""
         self._poses.append(np.asarray(pose, np.float64))
         self._solver = None
         return len(self._poses) - 1
@@ -175,27 +180,25 @@ class PoseGraph:
         """Return some of the edges as factors, and last the place of the first node."""
         while len(self._factors) < len(self.edges):
             edge = self.edges[len(self._factors)]
-            noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-            self._factors.append(gtsam.BetweenFactorPose2(edge.i, edge.j, gtsam.Pose2(*edge.pose), noise))
+            self._factors.append(self.geometry.between_factor(gtsam, edge.i, edge.j, edge.pose, edge.covariance))
         graph = gtsam.NonlinearFactorGraph()
         for e in chosen:
             graph.add(self._factors[e])
-        fixed = gtsam.noiseModel.Isotropic.Sigma(3, _FIXED)
-        graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*self._poses[0]), fixed))
+        fixed = gtsam.noiseModel.Isotropic.Sigma(self.geometry.dof, _FIXED)
+        graph.add(self.geometry.prior_factor(gtsam, 0, self._poses[0], fixed))
         return graph
 
     def _values(self, gtsam: Any) -> Any:
         values = gtsam.Values()
         for k, pose in enumerate(self._poses):
-            values.insert(k, gtsam.Pose2(*pose))
+            values.insert(k, self.geometry.pose(gtsam, pose))
         return values
 
     def _take(self, values: Any) -> None:
         self._known, self._solver = {}, None
         # The first node's row is not touched: the frame of the map must not move by a rounding error.
         for k in range(1, len(self)):
-            pose = values.atPose2(k)
-            self._poses[k] = np.array([pose.x(), pose.y(), pose.theta()])
+            self._poses[k] = self.geometry.row_of(values, k)
 
     # ------------------------------------------------------------------ how sure
 
@@ -205,12 +208,15 @@ class PoseGraph:
             return np.zeros(0)
         poses = self.poses
         i, j = np.array([e.i for e in self.edges]), np.array([e.j for e in self.edges])
-        off = between(np.array([e.pose for e in self.edges]), between(poses[i], poses[j]))
+        geometry = self.geometry
+        off = geometry.small(
+            geometry.between(np.array([e.pose for e in self.edges]), geometry.between(poses[i], poses[j]))
+        )
         covariances = np.array([e.covariance for e in self.edges])
         return np.einsum("ea,ea->e", off, np.linalg.solve(covariances, off[..., None])[..., 0])
 
     def relative_covariances(self, origin: int, others: Sequence[int]) -> FloatArray:
-        """Return the covariances (M, 3, 3) of other nodes as seen from one node: small motions in the others' frames.
+        """Return the covariances (M, d, d) of other nodes as seen from one node: small motions in the others' frames.
 
         With the node held where it is, its own uncertainty drops out: the marginals of the others are those of their
         poses relative to it.
@@ -218,30 +224,31 @@ class PoseGraph:
         known = self._known.get(origin)
         if known is None:
             # What was asked for from other nodes is not asked for again.
-            known = {origin: np.zeros((3, 3))}
+            known = {origin: np.zeros((self.geometry.dof, self.geometry.dof))}
             self._known = {origin: known}
         missing = [node for node in dict.fromkeys(others) if node not in known]
         if missing:
             known.update(zip(missing, self._solve(origin, missing), strict=True))
-        return np.array([known[node] for node in others]).reshape(-1, 3, 3)
+        return np.array([known[node] for node in others]).reshape(-1, self.geometry.dof, self.geometry.dof)
 
     def _solve(self, origin: int, others: Sequence[int]) -> FloatArray:
         """Return what :meth:`relative_covariances` does, of nodes that are not the one held."""
-        out = np.zeros((len(others), 3, 3))
+        d = self.geometry.dof
+        out = np.zeros((len(others), d, d))
         wanted = list(enumerate(others))
         if self._solver is None or self._solver[0] != origin:
             self._solver = (origin, self._factorise(origin))
         solver = self._solver[1]
-        size = 3 * (len(self) - 1)
+        size = d * (len(self) - 1)
         for begin in range(0, len(wanted), 64):
             some = wanted[begin : begin + 64]
-            at = np.array([3 * (node - (node > origin)) for _, node in some])
-            units = np.zeros((size, 3 * len(some)))
-            entries = (at[:, None] + np.arange(3)).ravel()
-            units[entries, np.arange(3 * len(some))] = 1.0
+            at = np.array([d * (node - (node > origin)) for _, node in some])
+            units = np.zeros((size, d * len(some)))
+            entries = (at[:, None] + np.arange(d)).ravel()
+            units[entries, np.arange(d * len(some))] = 1.0
             solved = solver.solve(units)
             for s, (m, _) in enumerate(some):
-                block = solved[at[s] : at[s] + 3, 3 * s : 3 * s + 3]
+                block = solved[at[s] : at[s] + d, d * s : d * s + d]
                 out[m] = 0.5 * (block + block.T)
         return out
 
@@ -251,9 +258,10 @@ class PoseGraph:
         from scipy.sparse.linalg import splu
 
         rows, columns, values = self._normal_equations()
-        kept = (rows // 3 != origin) & (columns // 3 != origin)
-        rows, columns = rows - 3 * (rows // 3 > origin), columns - 3 * (columns // 3 > origin)
-        size = 3 * (len(self) - 1)
+        d = self.geometry.dof
+        kept = (rows // d != origin) & (columns // d != origin)
+        rows, columns = rows - d * (rows // d > origin), columns - d * (columns // d > origin)
+        size = d * (len(self) - 1)
         matrix = csc_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
 
@@ -264,31 +272,31 @@ class PoseGraph:
         i, j = np.array([e.i for e in edges]), np.array([e.j for e in edges])
         information = np.linalg.inv(np.array([e.covariance for e in edges]))
         # A small motion of i looks like this in the frame of j.
-        A = -adjoint(between(poses[j], poses[i]))
+        A = -self.geometry.adjoint(self.geometry.between(poses[j], poses[i]))
         At = np.swapaxes(A, 1, 2)
         blocks = [(i, i, At @ information @ A), (j, j, information), (i, j, At @ information), (j, i, information @ A)]
-        three = np.arange(3)
+        d = self.geometry.dof
+        one = np.arange(d)
         rows, columns, values = [], [], []
         for a, b, block in blocks:
-            rows.append(np.broadcast_to((3 * a)[:, None, None] + three[:, None], block.shape).ravel())
-            columns.append(np.broadcast_to((3 * b)[:, None, None] + three, block.shape).ravel())
+            rows.append(np.broadcast_to((d * a)[:, None, None] + one[:, None], block.shape).ravel())
+            columns.append(np.broadcast_to((d * b)[:, None, None] + one, block.shape).ravel())
             values.append(block.ravel())
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
     # ------------------------------------------------------------------ files
 
     def write_g2o(self, path: str | os.PathLike[str]) -> None:
-        """Write nodes and the edges that are believed as a g2o file (VERTEX_SE2, EDGE_SE2).
+        """Write nodes and the edges that are believed as a g2o file (VERTEX_SE2 or VERTEX_SE3:QUAT, and edges).
 
         Raises:
             FileAccessError: the folder is missing or not writable.
         """
+        geometry = self.geometry
         with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as handle:
-            for k, (x, y, theta) in enumerate(self.poses.tolist()):
-                handle.write(f"VERTEX_SE2 {k} {x:.9f} {y:.9f} {theta:.12f}\n")
+            for k, pose in enumerate(self._poses):
+                handle.write(geometry.g2o_vertex(k, pose) + "\n")
             for edge, weight in zip(self.edges, self.weights, strict=True):
-                if weight < _KEPT:
-                    continue
-                upper = np.linalg.inv(edge.covariance)[np.triu_indices(3)]
-                numbers = " ".join(f"{v:.12g}" for v in [*edge.pose.tolist(), *upper.tolist()])
-                handle.write(f"EDGE_SE2 {edge.i} {edge.j} {numbers}\n")
+                if weight >= _KEPT:
+                    information = np.asarray(np.linalg.inv(edge.covariance), np.float64)
+                    handle.write(geometry.g2o_edge(edge.i, edge.j, edge.pose, information) + "\n")

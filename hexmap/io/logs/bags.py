@@ -46,6 +46,12 @@ _WAIT_SECONDS = 2.0
 # Below this cosine (25 degrees) between the axes a laser is not planar any more.
 _TILT = 0.9
 
+_ADVICE = {
+    "rosbag1": "`rosbag reindex` may repair it",
+    "mcap": "`mcap recover` or `ros2 bag reindex` may repair it",
+    "rosbag2": "`ros2 bag reindex` may repair it",
+}
+
 Edges = dict[str, tuple[str, Pose]]
 
 
@@ -147,38 +153,14 @@ class BagLog(Log):
             source.close()
 
     def _open(self) -> _Source:
-        if self._without_index:
-            return self._open_unindexed()
-        try:
-            return _Indexed(self.path, self.format)
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(f"{self.path}: reading bags takes the package rosbags: {error}") from error
-        except PermissionError as error:
-            raise cannot_read(self.path, error) from error
-        except Exception as error:  # see above
-            why = reason(error)
-        if self.path.is_file() and self.format in ("rosbag1", "mcap"):
-            with contextlib.suppress(Exception):
-                source = self._open_unindexed()
-                if source.topics:
-                    self._without_index = True
-                    self._notes.append(
-                        f"the bag has no sound index ({why}); read up to its last whole record; {self._advice()}"
-                    )
-                    return source
-        raise LogError(f"{self.path}: the bag cannot be read: {why}; {self._advice()}")
-
-    def _open_unindexed(self) -> _Source:
-        from hexmap.io.logs.bag_recovery import UnindexedMcap, UnindexedRosbag1
-
-        return UnindexedRosbag1(self.path) if self.format == "rosbag1" else UnindexedMcap(self.path)
+        source, note = open_source(self.path, self.format, self._without_index)
+        if note is not None:
+            self._without_index = True
+            self._notes.append(note)
+        return source
 
     def _advice(self) -> str:
-        if self.format == "rosbag1":
-            return "`rosbag reindex` may repair it"
-        if self.format == "mcap":
-            return "`mcap recover` or `ros2 bag reindex` may repair it"
-        return "`ros2 bag reindex` may repair it"
+        return _ADVICE[self.format]
 
     def _choose(self, topics: dict[str, str], kind: str, wanted: str | None, last_name: str, setting: str) -> str:
         """Return the topic of a message type: the one wanted, the only one, or the one of that last name.
@@ -391,6 +373,42 @@ class BagLog(Log):
 
     def _no_laser(self) -> str:
         return f"{self.path}: no laser reading on topic {self.scan_topic}"
+
+
+def open_source(path: Path, kind: str, without_index: bool = False) -> tuple[_Source, str | None]:
+    """Open a bag of a format, through its index where that is sound; else a note says that it is not.
+
+    Raises:
+        FileAccessError: the file cannot be read.
+        LogError: the bag is damaged beyond reading.
+    """
+    if without_index:
+        return _unindexed(path, kind), None
+    try:
+        return _Indexed(path, kind), None
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(f"{path}: reading bags takes the package rosbags: {error}") from error
+    except PermissionError as error:
+        raise cannot_read(path, error) from error
+    except Exception as error:  # a damaged bag surfaces as any error of the parsers below
+        why = reason(error)
+    if path.is_file() and kind in ("rosbag1", "mcap"):
+        with contextlib.suppress(Exception):
+            source = _unindexed(path, kind)
+            if source.topics:
+                return source, f"the bag has no sound index ({why}); read up to its last whole record; {_ADVICE[kind]}"
+    raise LogError(f"{path}: the bag cannot be read: {why}; {_ADVICE[kind]}")
+
+
+def _unindexed(path: Path, kind: str) -> _Source:
+    from hexmap.io.logs.bag_recovery import UnindexedMcap, UnindexedRosbag1
+
+    return UnindexedRosbag1(path) if kind == "rosbag1" else UnindexedMcap(path)
+
+
+def topic_list(topics: dict[str, str]) -> str:
+    """Return topics and their types in one line."""
+    return _list(topics)
 
 
 def _list(topics: dict[str, str]) -> str:

@@ -11,7 +11,7 @@ from hexmap.io import file_kinds
 from hexmap.io.logs.log import Log, LogSettings
 from hexmap.io.read_file import GzipError, beginning, cannot_read, inflated
 
-__all__ = ["is_log", "open_log"]
+__all__ = ["bag_kind", "is_log", "open_log"]
 
 _KNOWN = "a CARMEN or Wean Hall log (plain or gzip), a ROS 1 bag, a ROS 2 bag or an MCAP file"
 _BAGS = {
@@ -82,6 +82,18 @@ def is_log(path: Path) -> bool:
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
     return file_kinds.find_kind(beginning(path), (*_BAGS, file_kinds.WEAN_LOG, file_kinds.CARMEN_LOG)) is not None
+
+
+def bag_kind(path: Path) -> str | None:
+    """Return "rosbag1", "rosbag2" or "mcap" for a bag, by how it begins; None for anything else."""
+    if path.is_dir():
+        metadata = path / "metadata.yaml"
+        if not metadata.is_file():
+            return None
+        text = metadata.read_text(encoding="utf-8", errors="replace")
+        return "mcap" if "storage_identifier: mcap" in text else "rosbag2"
+    found = file_kinds.find_kind(beginning(path), _BAGS)
+    return None if found is None else _BAGS[found]
 
 
 def _beginning(path: Path, head: bytes) -> bytes:

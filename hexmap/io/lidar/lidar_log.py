@@ -1,0 +1,149 @@
+"""What all logs of LiDARs share: settings, counts and the checks of every scan."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.errors import ArgumentError, LogError
+from hexmap.base.text import plural
+from hexmap.io.logs.log import Tally
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+
+__all__ = ["LidarLog", "LidarLogSettings"]
+
+# No range of a LiDAR is shorter: drivers write 0, 0, 0 where nothing came back.
+_NOTHING = 1e-3
+
+
+@dataclass(frozen=True)
+class LidarLogSettings:
+    """How to read a log of a LiDAR; plain JSON values.
+
+    Attributes:
+        topic: of the sensor_msgs/PointCloud2 in a bag; None: the only one.
+        frame: of the scans to take; None: that of the first scan, and others are left out and counted.
+        rate: scans a second of a folder whose file names are no stamps.
+    """
+
+    topic: str | None = None
+    frame: str | None = None
+    rate: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ArgumentError: a rate that is not positive.
+        """
+        if not 0.0 < self.rate < float("inf"):
+            raise ArgumentError(f"a folder holds a positive number of scans a second, not {self.rate:g}")
+
+
+class LidarLog(ABC):
+    """Scans of a LiDAR in the order of the log; iterate as often as needed, one scan is in memory at a time.
+
+    Attributes:
+        path: the file or folder.
+        format: what it was read as.
+        settings: how it is read.
+        size: bytes of it.
+        position: bytes read so far, about.
+        scans: scans read so far.
+        mount: T_robot_sensor, where the log says so.
+        odometry: readings of another odometry: none are read.
+    """
+
+    format = ""
+    odometry = 0
+    _unit = "scan"
+
+    def __init__(self, path: Path, settings: LidarLogSettings, size: int) -> None:
+        """Begin; nothing is read yet."""
+        self.path, self.settings, self.size = path, settings, size
+        self.mount: Pose | None = None
+        self.position = self.scans = 0
+        self._notes: list[str] = []
+        self._reset()
+
+    def _reset(self) -> None:
+        self.position = self.scans = 0
+        self._skipped, self._empty, self._dropped, self._elsewhere = Tally(), Tally(), Tally(), Tally()
+        self._late_notes: list[str] = []
+
+    def fraction(self) -> float:
+        """Return how much of the log has been read, from 0 to 1."""
+        return min(self.position / self.size, 1.0) if self.size > 0 else 1.0
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was not as it should be, one line each, each naming the log."""
+        texts = list(self._notes)
+        if self._skipped.count:
+            texts.append(f"{plural(self._skipped.count, self._unit)} skipped, the first at {self._skipped.first}")
+        if self._elsewhere.count:
+            texts.append(
+                f"{plural(self._elsewhere.count, 'scan')} of another frame left out, the first at "
+                f"{self._elsewhere.first}; choose with --frame"
+            )
+        if self._empty.count:
+            count = plural(self._empty.count, "scan")
+            texts.append(f"{count} without points left out, the first at {self._empty.first}")
+        if self._dropped.count:
+            texts.append(
+                f"{plural(self._dropped.count, 'point')} dropped (not finite, or at the sensor itself), the first at "
+                f"{self._dropped.first}"
+            )
+        texts.extend(self._late_notes)
+        return [f"{self.path.name}: {text}" for text in texts]
+
+    def __iter__(self) -> Iterator[Scan]:
+        """Read the log from its start.
+
+        Raises:
+            LogError: there is no scan in the whole log (raised at its end).
+            FileAccessError: a file cannot be read any more.
+        """
+        self._reset()
+        for scan in self._read():
+            self.scans += 1
+            yield scan
+        if self.scans == 0:
+            notes = self.warnings
+            raise LogError(self._no_scan() + (f" ({notes[0].partition(': ')[2]})" if notes else ""))
+        self.position = self.size
+
+    @abstractmethod
+    def _read(self) -> Iterator[Scan]:
+        """Yield the scans."""
+
+    @abstractmethod
+    def _no_scan(self) -> str:
+        """Say that there was no scan."""
+
+    def _clean(
+        self, stamp: float, points: FloatArray, times: FloatArray | None, intensity: FloatArray | None, number: int,
+        where: str,
+    ) -> Scan | None:  # fmt: skip
+        """Return a scan of its finite points that are not at the sensor itself; None, and counted, if there is none."""
+        if not len(points):
+            self._empty.add(where)
+            return None
+        good = np.isfinite(points).all(axis=1)
+        good &= (np.abs(points) > _NOTHING).any(axis=1)
+        dropped = len(points) - int(np.count_nonzero(good))
+        if dropped:
+            self._dropped.add(where, dropped)
+            points = points[good]
+            times = None if times is None else times[good]
+            intensity = None if intensity is None else intensity[good]
+        if not len(points):
+            self._empty.add(where)
+            return None
+        return Scan(stamp, points, line=number, times=times, intensity=intensity)

@@ -1,0 +1,96 @@
+"""All settings of a map that is made of a LiDAR's scans, as plain numbers and texts that its file keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from hexmap.base.errors import ArgumentError, HexmapError
+from hexmap.io.lidar.lidar_log import LidarLogSettings
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.builder import MapBuilder
+from hexmap.maps.state_rule import StateRule
+from localisation.settings import limit_of
+
+__all__ = ["LidarSettings"]
+
+
+@dataclass(frozen=True)
+class LidarSettings:
+    """All settings of a map in space.
+
+    Attributes:
+        lattice: name of the lattice, or its basis (columns are generators, metres) as nested lists.
+        resolution: side, metres, of the cube of the same volume as a cell (ignored with a basis).
+        levels: levels of the map, each at twice the resolution of the one before.
+        min_range: points nearer than this, metres, are left out: whoever carries the sensor.
+        max_range: points farther than this, metres, are left out; None for no limit.
+        free_space: whether the cells that beams went through are counted.
+        level_floor: whether the map is turned so that floors are level; the sensor need not begin upright.
+        rule: what an occupied cell is.
+        log: how the log is read.
+    """
+
+    lattice: str | list[list[float]] = "D3"
+    resolution: float = 0.1
+    levels: int = 3
+    min_range: float = 0.5
+    max_range: float | None = 100.0
+    free_space: bool = True
+    level_floor: bool = True
+    rule: StateRule = field(default_factory=StateRule)
+    log: LidarLogSettings = field(default_factory=LidarLogSettings)
+
+    def __post_init__(self) -> None:
+        """Check what the parts do not check themselves.
+
+        Raises:
+            ArgumentError: a lattice of the plane, or a number out of its range.
+        """
+        if self.make_lattice().dim != 3:
+            raise ArgumentError(
+                f"a LiDAR's log cannot be mapped on {self.make_lattice().name}, a lattice of the plane; take D3"
+            )
+        self.make_builder()
+
+    def make_lattice(self) -> Lattice:
+        """Return the lattice of the finest level."""
+        if isinstance(self.lattice, str):
+            return Lattice.named(self.lattice, self.resolution)
+        return Lattice(np.array(self.lattice))
+
+    def make_builder(self) -> MapBuilder:
+        """Return the empty builder that the settings describe."""
+        limit = limit_of(self.max_range)
+        return MapBuilder(self.make_lattice(), self.levels, min_range=self.min_range, max_range=limit)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain JSON values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> LidarSettings:
+        """Make settings of what :meth:`to_dict` returned; settings that are left out keep their defaults.
+
+        Raises:
+            ArgumentError: a setting is not known or has a wrong value.
+        """
+        known = {f.name for f in fields(cls)}
+        unknown = sorted(set(value) - known)
+        if unknown:
+            raise ArgumentError(
+                f"no setting of a map in space is called {unknown[0]!r}; known are {', '.join(sorted(known))}"
+            )
+        values = dict(value)
+        try:
+            for name, part in (("rule", StateRule), ("log", LidarLogSettings)):
+                if name in values:
+                    values[name] = part(**values[name])
+            return cls(**values)
+        except HexmapError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"not a configuration of a map in space: {error}") from error

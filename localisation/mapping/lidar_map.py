@@ -1,0 +1,334 @@
+"""From a LiDAR's log to a map in space: poses by surfaces and closed loops, or given ones; then all scans fused.
+
+The log is read twice: once for the poses, once for the map. Only one scan of it is in memory at a time; what is kept of
+the others are the submaps' thinned points.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError, TrajectoryError
+from hexmap.io.lidar.lidar_log import LidarLog
+from hexmap.maps.map import Map
+from hexmap.poses.pose import Pose
+from hexmap.poses.rotations import exponential
+from hexmap.poses.scan import Scan
+from hexmap.poses.trajectory import Trajectory
+from localisation.lidar_settings import LidarSettings
+from localisation.mapping.loop_closed_map import Phase, silent
+from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, provenance
+from localisation.matching.surfaces import SurfaceMap, first_of_each_cell
+from localisation.odometry.sweep import Velocity, deskewed
+from localisation.slam import spatial
+from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
+from localisation.slam.settings import LoopSettings
+
+__all__ = ["LidarMappingResult", "build_lidar_map", "fuse_lidar_log", "up_direction"]
+
+# Floors and ceilings are planes whose normals lean no farther than this from the first scan's z axis, radians, and
+_FARTHEST_LEAN = math.radians(45.0)
+# agree with one another to this.
+_SAME_LEAN = math.radians(3.0)
+# Planes that make a floor.
+_FLOOR_PLANES = 20
+# Normals that are compared, each with each.
+_COMPARED = 2000
+# In cells of the surfaces: the last drawing is a touch, not a search.
+_TOUCH = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class LidarMappingResult:
+    """A finished map in space and what was counted on the way.
+
+    Attributes:
+        map: the map.
+        scans: scans fused.
+        matched: scans that surfaces held (the first has nothing to be matched against).
+        unmatched: scans that kept the motion predicted for them.
+        skipped: scans without a pose, where poses were given.
+        mean_share: mean share of a matched scan's points that lay on surfaces; NaN where none was matched.
+        metres: length of the path.
+        warnings: what was wrong with the log, one line each.
+        levelled: by how much the map was turned to make floors level, radians; None where that was not asked for, or
+            no floor was found.
+        poses: T_map_sensor of all scans.
+        slam: the graph, the loops and how sure each pose is; None where poses were given.
+    """
+
+    map: Map
+    scans: int
+    matched: int
+    unmatched: int
+    skipped: int
+    mean_share: float
+    metres: float
+    warnings: list[str]
+    levelled: float | None
+    poses: Trajectory
+    slam: LidarSlamResult | None
+
+
+def build_lidar_map(
+    log: LidarLog,
+    settings: LidarSettings | None = None,
+    loops: LoopSettings | None = None,
+    *,
+    close: bool = True,
+    on_pose: OnPose | None = None,
+    phase: Phase | None = None,
+) -> LidarMappingResult:
+    """Map a LiDAR's log.
+
+    Args:
+        log: an open log (``hexmap.io.lidar.open_lidar``).
+        settings: all settings of the map.
+        loops: how loops are looked for, and what is believed.
+        close: whether loops are closed.
+        on_pose: called at the end with stamp, T_map_sensor and True for every scan in the log's order.
+        phase: shows what is being done, as for :func:`~localisation.mapping.loop_closed_map.build_loop_closed_map`.
+
+    Returns:
+        The map. Its origin is where the sensor was at the first scan; its axes are the sensor's then, turned so that
+        floors are level where ``settings.level_floor`` says so.
+
+    Raises:
+        LogError: the log cannot be read or has no scan.
+        MissingDependencyError: kiss-icp or gtsam cannot be loaded.
+    """
+    settings, phase = settings or LidarSettings(), phase or silent
+    slam = LidarSlam(settings, loops, close=close)
+    unusable = UnusableScans(log)
+    used: list[int] = []
+    with phase("mapping", log.fraction) as progress:
+        for number, scan in enumerate(log):
+            try:
+                slam.register(scan)
+            except (BoundsError, TooLargeError) as error:
+                unusable.add(scan, error)
+                continue
+            used.append(number)
+            progress(slam.scans)
+    unusable.check(slam.scans)
+    warnings = [*log.warnings, *unusable.warnings]
+    with phase("closing loops", lambda: 0.0):
+        result = slam.finish()
+    surfaces = slam.surfaces()
+    levelled = None
+    turn = Pose.identity(3)
+    if settings.level_floor:
+        up = up_direction(surfaces)
+        if up is not None:
+            turn, levelled = _levelling(up)
+    fuser = _Fuser(log, settings, on_pose)
+    chosen = set(used)
+    poses = [result.pose(k) for k in range(len(used))]
+    drawn = _Drawing(surfaces, settings)
+    with phase("fusing", log.fraction) as progress:
+        k = 0
+        for number, scan in enumerate(log):
+            if number not in chosen:
+                continue
+            # The poses before are the last ones already, so that the motion between them is what it was.
+            poses[k] = drawn.touch(scan, poses, result.stamps, k)
+            points = deskewed(scan, _velocity(poses, result.stamps, k))
+            fuser.fuse(replace(scan, points=points, times=None), turn @ poses[k])
+            k += 1
+            progress(k)
+    final = [turn @ pose for pose in poses]
+    moved = replace(
+        result, poses=np.array([spatial.of_pose(p) for p in final]), graph=result.graph.moved(
+            spatial.compose(spatial.of_pose(turn), result.graph.poses))
+    )  # fmt: skip
+    return LidarMappingResult(
+        map=fuser.build("kiss-icp, surfaces" + (" and loop closure" if close else "")),
+        scans=len(used),
+        matched=slam.matched,
+        unmatched=slam.unmatched,
+        skipped=0,
+        mean_share=slam.mean_share,
+        metres=fuser.recorder.metres,
+        warnings=warnings,
+        levelled=levelled,
+        poses=Trajectory.from_poses(result.stamps.tolist(), final),
+        slam=moved,
+    )
+
+
+def fuse_lidar_log(
+    log: LidarLog,
+    poses: Trajectory,
+    settings: LidarSettings | None = None,
+    *,
+    associate: str | None = None,
+    tolerance: float = 0.1,
+    on_pose: OnPose | None = None,
+    phase: Phase | None = None,
+) -> LidarMappingResult:
+    """Map a LiDAR's log whose poses (T_map_sensor) are known.
+
+    Poses go with scans by order where there are as many, else by time: each scan is put between the poses before and
+    after its stamp, of which the nearer one must be no more than ``tolerance`` seconds off.
+
+    Args:
+        log: an open log.
+        poses: T_map_sensor; of a robot's poses T_map_robot the log's mount makes them, where it has one.
+        settings: all settings of the map.
+        associate: "order" or "time" insists on one of them.
+        tolerance: seconds.
+        on_pose: called with stamp, pose and True for every scan that has one.
+        phase: shows what is being done.
+
+    Raises:
+        LogError: the log cannot be read or has no scan.
+        TrajectoryError: the poses go with no scan, or not by the order asked for.
+        ArgumentError: ``associate`` is neither.
+    """
+    settings, phase = settings or LidarSettings(), phase or silent
+    if associate not in (None, "order", "time"):
+        raise ArgumentError(f"poses associate by 'order' or 'time', not {associate!r}")
+    count = 0
+    for _ in log:
+        count += 1
+    if associate == "order" and len(poses) != count:
+        raise TrajectoryError(f"{len(poses)} poses do not go by order with the {count} scans of {log.path}")
+    by_order = associate != "time" and len(poses) == count
+    mount = log.mount or Pose.identity(3)
+    fuser, unusable = _Fuser(log, settings, on_pose), UnusableScans(log)
+    placed: list[Pose] = []
+    stamps: list[float] = []
+    skipped = 0
+    with phase("fusing", log.fraction) as progress:
+        for k, scan in enumerate(log):
+            pose = _in_space(poses[k]) if by_order else _at(poses, scan.stamp, tolerance)
+            if pose is None:
+                skipped += 1
+                continue
+            pose = pose @ mount
+            velocity = None
+            if stamps:
+                velocity = Velocity.between(placed[-1].inverse() @ pose, scan.stamp - stamps[-1])
+            try:
+                fuser.fuse(replace(scan, points=deskewed(scan, velocity), times=None), pose)
+            except (BoundsError, TooLargeError) as error:
+                unusable.add(scan, error)
+                continue
+            placed.append(pose)
+            stamps.append(scan.stamp)
+            progress(k + 1)
+    unusable.check(len(placed))
+    if not placed:
+        raise TrajectoryError(
+            f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {count} scans of {log.path}"
+        )
+    return LidarMappingResult(
+        map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, skipped=skipped, mean_share=math.nan,
+        metres=fuser.recorder.metres, warnings=[*log.warnings, *unusable.warnings], levelled=None,
+        poses=Trajectory.from_poses(stamps, placed), slam=None,
+    )  # fmt: skip
+
+
+class _Fuser:
+    """Fuses scans and passes their poses on."""
+
+    def __init__(self, log: LidarLog, settings: LidarSettings, on_pose: OnPose | None) -> None:
+        self._log, self._settings = log, settings
+        self._builder = settings.make_builder()
+        self.recorder = PoseRecorder(on_pose)
+
+    def fuse(self, scan: Scan, pose: Pose) -> None:
+        if self._settings.free_space:
+            self._builder.fuse(scan, pose)
+        else:
+            self._builder.add_hits(scan, pose)
+        self.recorder.add(scan.stamp, pose, True)
+
+    def build(self, how: str) -> Map:
+        return self._builder.build(source=provenance(self._log, self._settings, how), finish=True)
+
+
+class _Drawing:
+    """Draws each scan once more, onto the surfaces of all."""
+
+    def __init__(self, surfaces: SurfaceMap, settings: LidarSettings) -> None:
+        self._surfaces, self._settings = surfaces, settings
+        self._thin = surfaces.lattice.scaled(1.0 / 3.0)
+
+    def touch(self, scan: Scan, poses: list[Pose], stamps: FloatArray, k: int) -> Pose:
+        """Return the pose of scan ``k`` on the surfaces, or what it is where they do not hold it."""
+        points = deskewed(scan, _velocity(poses, stamps, k))
+        squared = (points**2).sum(axis=1)
+        points = points[squared >= self._settings.min_range**2]
+        drawn = self._surfaces.draw(first_of_each_cell(points, self._thin), poses[k], farthest=_TOUCH)
+        return drawn.pose if drawn.converged else poses[k]
+
+
+def _velocity(poses: list[Pose], stamps: FloatArray, k: int) -> Velocity | None:
+    """Return the sensor's velocity at scan ``k``: from the scan before, at the first one to the scan after."""
+    if len(poses) < 2:
+        return None
+    a, b = (k - 1, k) if k else (0, 1)
+    return Velocity.between(poses[a].inverse() @ poses[b], float(stamps[b] - stamps[a]))
+
+
+def up_direction(surfaces: SurfaceMap) -> FloatArray | None:
+    """Return the unit normal (3,) that most floors and ceilings share, or None where there are hardly any."""
+    _, normals, _ = surfaces.planes()
+    normals = normals * np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
+    normals = normals[normals[:, 2] > math.cos(_FARTHEST_LEAN)]
+    if len(normals) < _FLOOR_PLANES:
+        return None
+    some = normals[np.linspace(0, len(normals) - 1, min(_COMPARED, len(normals))).astype(np.int64)]
+    agree = (some @ some.T > math.cos(_SAME_LEAN)).sum(axis=1)
+    up = some[int(np.argmax(agree))]
+    for _ in range(5):
+        near = normals[normals @ up > math.cos(_SAME_LEAN)]
+        if len(near) < _FLOOR_PLANES:
+            return None
+        up = near.mean(axis=0)
+        up /= np.linalg.norm(up)
+    return np.asarray(up)
+
+
+def _levelling(up: FloatArray) -> tuple[Pose, float]:
+    """Return the smallest turn that makes ``up`` (3,) the z axis, and its angle in radians."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    angle = math.atan2(sine, float(up[2]))
+    if sine < 1e-12:
+        return Pose.identity(3), 0.0
+    return Pose(exponential(axis / sine * angle), np.zeros(3)), angle
+
+
+def _in_space(pose: Pose) -> Pose:
+    """Return a pose of the plane as one of space."""
+    if pose.dim == 3:
+        return pose
+    R = np.eye(3)
+    R[:2, :2] = pose.rotation
+    return Pose(R, [*pose.translation, 0.0])
+
+
+def _at(poses: Trajectory, stamp: float, tolerance: float) -> Pose | None:
+    """Return the pose at a stamp, between the readings around it; None where the nearest is too far off."""
+    nearest, off = poses.nearest([stamp])
+    k = int(nearest[0])
+    if off[0] > tolerance:
+        return None
+    step = 1 if poses.stamps[k] < stamp else -1
+    other = k + step
+    here = _in_space(poses[k])
+    if not 0 <= other < len(poses) or off[0] == 0.0:
+        return here
+    span = float(poses.stamps[other] - poses.stamps[k])
+    share = (stamp - float(poses.stamps[k])) / span if span else 0.0
+    if not 0.0 < share < 1.0:
+        return here
+    motion = spatial.small(spatial.of_pose(here.inverse() @ _in_space(poses[other])))
+    return here @ spatial.to_pose(spatial.motion(motion * share))
+
