@@ -27,6 +27,14 @@ def _rows(values: object, what: str) -> NDArray[np.float64]:
     return a
 
 
+def _one_each(values: object, what: str, n: int) -> NDArray[np.float64]:
+    a = np.ascontiguousarray(values, dtype=np.float64)[:]
+    if a.shape != (n,):
+        raise ArgumentError(f"the {what} of a scan of {n} points must be ({n},), not {a.shape}")
+    a.setflags(write=False)
+    return a
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """One sweep of a range sensor, in the sensor's frame.
@@ -37,6 +45,8 @@ class Scan:
         no_return: (M, n) unit directions of the beams that returned nothing.
         odometry: the pose of the robot in the odometry's frame that came with the scan, if any.
         line: line of the log (or the message's number) that the scan was read from, if any.
+        times: (N,) float64 seconds after ``stamp`` at which each point was measured (may be negative), if known.
+        intensity: (N,) float64 strength of each return in the sensor's own unit, if known.
     """
 
     stamp: float
@@ -44,9 +54,11 @@ class Scan:
     no_return: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     odometry: Pose | None = None
     line: int | None = None
+    times: NDArray[np.float64] | None = None
+    intensity: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Make the arrays contiguous float64 and read-only."""
+        """Make the arrays contiguous float64 and read-only, and check that their shapes fit."""
         points = _rows(self.points, "points")
         no_return = self.no_return
         if len(no_return) == 0:
@@ -55,6 +67,9 @@ class Scan:
         object.__setattr__(self, "no_return", _rows(no_return, "rays without return"))
         if self.no_return.shape[1] != points.shape[1]:
             raise ArgumentError("points and rays without return must have the same dimension")
+        for name in ("times", "intensity"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _one_each(getattr(self, name), name, len(points)))
 
     @property
     def dim(self) -> int:
