@@ -27,10 +27,10 @@ def _rows(values: object, what: str) -> NDArray[np.float64]:
     return a
 
 
-def _one_a_point(values: object, what: str, count: int) -> NDArray[np.float64]:
+def _one_each(values: object, what: str, n: int) -> NDArray[np.float64]:
     a = np.ascontiguousarray(values, dtype=np.float64)[:]
-    if a.shape != (count,):
-        raise ArgumentError(f"the {what} of a scan of {count} points must be ({count},), not {a.shape}")
+    if a.shape != (n,):
+        raise ArgumentError(f"the {what} of a scan of {n} points must be ({n},), not {a.shape}")
     a.setflags(write=False)
     return a
 
@@ -45,9 +45,8 @@ class Scan:
         no_return: (M, n) unit directions of the beams that returned nothing.
         odometry: the pose of the robot in the odometry's frame that came with the scan, if any.
         line: line of the log (or the message's number) that the scan was read from, if any.
-        times: (N,) float64 seconds from ``stamp`` to when each point was measured (negative before it), where the
-            sensor says so: points of a moving sensor are each in the sensor's frame at their own time.
-        intensity: (N,) float64 of each point, in the sensor's units, where it says so.
+        times: (N,) float64 seconds after ``stamp`` at which each point was measured (may be negative), if known.
+        intensity: (N,) float64 strength of each return in the sensor's own unit, if known.
     """
 
     stamp: float
@@ -59,7 +58,7 @@ class Scan:
     intensity: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Make the arrays contiguous float64 and read-only."""
+        """Make the arrays contiguous float64 and read-only, and check that their shapes fit."""
         points = _rows(self.points, "points")
         no_return = self.no_return
         if len(no_return) == 0:
@@ -69,9 +68,8 @@ class Scan:
         if self.no_return.shape[1] != points.shape[1]:
             raise ArgumentError("points and rays without return must have the same dimension")
         for name in ("times", "intensity"):
-            values = getattr(self, name)
-            if values is not None:
-                object.__setattr__(self, name, _one_a_point(values, name, len(points)))
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _one_each(getattr(self, name), name, len(points)))
 
     @property
     def dim(self) -> int:

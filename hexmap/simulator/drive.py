@@ -25,10 +25,12 @@ class Drive:
     Attributes:
         duration: seconds from the first way point to the last.
         length: metres driven.
+        leg_times: (W - 1, 2) seconds at which the straight part of each leg begins and ends.
     """
 
     duration: float
     length: float
+    leg_times: NDArray[np.float64]
 
     def __init__(
         self, waypoints: ArrayLike, *, speed: float = 0.5, turn_rate: float = 0.8, corner_radius: float = 0.6
@@ -58,6 +60,7 @@ class Drive:
         headings = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
 
         pieces: list[tuple[float, ...]] = []  # x, y, theta at its start, speed, turn rate, seconds
+        straight: list[int] = []  # which piece is the straight part of each leg
         start = 0.0  # how much of the current leg the corner before it has used
         for i, (point, leg, heading) in enumerate(zip(points, lengths, headings, strict=False)):
             u = np.array([math.cos(heading), math.sin(heading)])
@@ -71,6 +74,7 @@ class Drive:
                     radius = radius if radius >= _SMALLEST_RADIUS else 0.0
                     tangent = radius * half
             begin, end = point + start * u, point + (leg - tangent) * u
+            straight.append(len(pieces))
             pieces.append((begin[0], begin[1], heading, speed, 0.0, (leg - tangent - start) / speed))
             if abs(turn) > 1e-12:
                 pace = min(speed, turn_rate * radius)
@@ -80,6 +84,7 @@ class Drive:
         self._pieces = np.array(pieces, dtype=np.float64)
         ends = np.cumsum(self._pieces[:, 5])
         self._starts = np.concatenate([[0.0], ends[:-1]])
+        self.leg_times = np.column_stack([self._starts, ends])[straight]
         self.duration = float(ends[-1])
         self.length = self.length_until(self.duration)
 
