@@ -1,4 +1,4 @@
-"""The command that builds a map from laser logs."""
+"""The command that builds a map from the logs of a planar laser or of a LiDAR."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hexmap.cli.build_lidar import LidarOutputs, build_lidar, lidar_settings
 from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
 from hexmap.cli.log_options import (
     AngleMin,
@@ -48,13 +49,14 @@ def build(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP; several of one place are mapped together.",
+            help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP, or a folder of PCD, PLY, .bin or NPY scans of a "
+            "LiDAR; several of one place are mapped together.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
-    lattice: Annotated[str | None, typer.Option(help="Z2 or A2.", show_default="A2")] = None,
+    lattice: Annotated[str | None, typer.Option(help="Z2 or A2; of a LiDAR D3, D3*, Z3.", show_default="A2, D3")] = None,
     resolution: Annotated[
-        float | None, typer.Option(help="Side, m, of the square as large as a cell.", show_default="0.05")
+        float | None, typer.Option(help="Side, m, of the square as large as a cell.", show_default="0.05, 0.1")
     ] = None,
     levels: Annotated[int | None, typer.Option(help="Levels at doubling resolution.", show_default="3")] = None,
     trajectory: Annotated[Path | None, typer.Option(help="Where to write the poses (TUM).")] = None,
@@ -92,10 +94,17 @@ def build(
     laser: LaserName = None,
     scan_topic: ScanTopic = None,
     odometry_topic: OdometryTopic = None,
+    frame: Annotated[str | None, typer.Option(help="Frame of a LiDAR's scans to take.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Scans a second of a folder without stamps.")] = None,
+    free_space: Annotated[
+        bool | None, typer.Option(help="Count what a LiDAR's beams went through.", show_default="on")
+    ] = None,
+    level: Annotated[bool | None, typer.Option(help="Turn a LiDAR's map so that floors are level.")] = None,
 ) -> None:
-    """Build a map from a laser log: match every scan, or take given poses, and fuse."""
+    """Build a map from a log: match every scan, or take given poses, and fuse."""
     from hexmap.base.errors import ArgumentError, TrajectoryError
     from hexmap.drawing.map_drawing import check_picture
+    from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.logs.open_log import open_log
     from hexmap.io.trajectories import read_tum
 
@@ -107,12 +116,23 @@ def build(
     for path in (picture, loops_picture):
         if path is not None:
             check_picture(path)
+    in_space = is_lidar_log(logs[0])
+    _check_kind(logs[0], in_space, dict(locals()))
     for option, path in of_loops.items():
         if path is not None and (poses is not None or not loop_closure):
             how = "--poses" if poses is not None else "--no-loop-closure"
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
         if path is not None and len(logs) > 1:
             raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
+    if in_space:
+        _build_in_space(
+            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
+            None if associate is None else associate.value, loop_closure,
+            lattice=lattice, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
+            free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
+            log={"topic": scan_topic, "frame": frame, "rate": rate},
+        )  # fmt: skip
+        return
     paths = [log.resolve() for log in logs]
     for k, log in enumerate(logs):
         if paths[k] in paths[:k]:
@@ -153,6 +173,47 @@ def build(
     )
     if result.slam is not None:
         _write_loops(result, settings, loops, loops_picture, graph, covariance)
+
+
+# Options that are for the logs of a planar laser alone, and for those of a LiDAR alone.
+_OF_THE_PLANE = (
+    "loops_picture", "continue_map", "checkpoint", "clear_no_return", "mount", "search_metres", "search_degrees",
+    "search_level", "odometry", "angle_min", "angle_step", "no_return", "laser", "odometry_topic",
+)  # fmt: skip
+_OF_SPACE = ("frame", "rate", "free_space", "level")
+
+
+def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:
+    """Refuse options that say nothing of this kind of log."""
+    from hexmap.base.errors import ArgumentError
+
+    for name in _OF_THE_PLANE if in_space else _OF_SPACE:
+        if options[name] is not None:
+            option = "--continue" if name == "continue_map" else f"--{name.replace('_', '-')}"
+            kind, other = ("a LiDAR", "a planar laser") if in_space else ("a planar laser", "a LiDAR")
+            raise ArgumentError(f"{log} is the log of {kind}, and {option} is for that of {other}")
+
+
+def _build_in_space(
+    logs: list[Path],
+    outputs: LidarOutputs,
+    config: Path | None,
+    poses: Path | None,
+    associate: str | None,
+    close: bool,
+    **options: Any,
+) -> None:
+    """Build the map of a LiDAR's log."""
+    from hexmap.base.errors import ArgumentError, HexmapError
+
+    if len(logs) > 1:
+        raise ArgumentError(f"one log of a LiDAR makes a map, not {len(logs)}; hexmap merge puts maps together")
+    values = _read_config(config) if config is not None else {}
+    try:
+        settings = lidar_settings(values, options)
+    except HexmapError as error:
+        raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
+    build_lidar(logs[0], settings, outputs, poses, associate, close)
 
 
 def _write_loops(

@@ -1,0 +1,135 @@
+"""Building a map in space from a LiDAR's log: a bag with clouds, or a folder of point files."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
+
+if TYPE_CHECKING:
+    from localisation.lidar_settings import LidarSettings
+    from localisation.mapping.lidar_map import LidarMappingResult
+
+__all__ = ["LidarOutputs", "build_lidar", "lidar_settings"]
+
+
+@dataclass(frozen=True)
+class LidarOutputs:
+    """What is written; None for what is not."""
+
+    map: Path
+    trajectory: Path | None = None
+    picture: Path | None = None
+    loops: Path | None = None
+    graph: Path | None = None
+    covariance: Path | None = None
+
+
+def lidar_settings(values: dict[str, Any], options: dict[str, Any]) -> LidarSettings:
+    """Return the settings of a configuration with the options that were given; None where they were not."""
+    from localisation.lidar_settings import LidarSettings
+
+    merged = dict(values)
+    for name, value in options.items():
+        if isinstance(value, dict):
+            given = {k: v for k, v in value.items() if v is not None}
+            if given:
+                merged[name] = {**merged.get(name, {}), **given}
+        elif value is not None:
+            merged[name] = value
+    return LidarSettings.from_dict(merged)
+
+
+def build_lidar(
+    log: Path, settings: LidarSettings, outputs: LidarOutputs, poses: Path | None, associate: str | None, close: bool
+) -> None:
+    """Build, write and report.
+
+    Args:
+        log: the bag or folder.
+        settings: of the map.
+        outputs: what is written.
+        poses: a file of poses to fuse at, instead of matching.
+        associate: how these go with scans.
+        close: whether loops are closed.
+    """
+    from hexmap.io.lidar.open_lidar import open_lidar
+    from hexmap.io.map_file import save_map
+    from hexmap.io.trajectories import TumWriter, read_tum
+    from localisation.mapping.lidar_map import build_lidar_map, fuse_lidar_log
+    from localisation.odometry.lidar_odometry import import_kiss_icp
+
+    source = open_lidar(log, settings.log)
+    given = None if poses is None else read_tum(poses)
+    if given is None:
+        import_kiss_icp()
+    first_run_note()
+    begin = time.monotonic()
+    if given is None:
+        result = build_lidar_map(source, settings, close=close, phase=progress_line)
+    else:
+        result = fuse_lidar_log(source, given, settings, associate=associate, phase=progress_line)
+    seconds = time.monotonic() - begin
+    save_map(outputs.map, result.map)
+    if outputs.trajectory is not None:
+        with TumWriter(outputs.trajectory) as writer:
+            for k, stamp in enumerate(result.poses.stamps.tolist()):
+                writer.append(stamp, result.poses[k])
+    _report(source, result, seconds)
+    wrote(
+        outputs.map,
+        f"{len(result.map.levels)} levels, {len(result.map.levels[0].hits)} cells hit, {result.map.lattice.title}",
+    )
+    if outputs.trajectory is not None:
+        wrote(outputs.trajectory, "poses of the sensor at the scans' stamps, TUM")
+    if result.slam is not None:
+        _write_loops(result, outputs)
+    if outputs.picture is not None:
+        from hexmap.drawing.solids.draw_solids import draw_solids
+
+        draw_solids(result.map.state(settings.rule).occupied, outputs.picture)
+        wrote(outputs.picture, "picture")
+
+
+def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
+    for text in result.warnings:
+        warn(text)
+    how = "given poses"
+    if result.slam is not None:
+        how = "nothing to match"
+        if result.matched:
+            how = f"{result.mean_share:.0%} of a scan's points lie on surfaces on average"
+    say(
+        f"{result.scans} scans, {result.metres:.1f} m, in {seconds:.1f} s "
+        f"({result.scans / max(seconds, 1e-9):.1f} scans a second); {how}"
+    )
+    if result.skipped:
+        warn(f"{source.path}: {result.skipped} scans have no pose and were left out")
+    if result.unmatched:
+        warn(f"{source.path}: {result.unmatched} scans lie on no surface and kept the motion predicted for them")
+    if result.levelled is not None and result.levelled > math.radians(0.1):
+        say(f"turned by {math.degrees(result.levelled):.1f} degrees so that floors are level (--no-level leaves it)")
+
+
+def _write_loops(result: LidarMappingResult, outputs: LidarOutputs) -> None:
+    """Say what was found of loops, and write what is asked for of them."""
+    from localisation.slam.loop_files import write_covariances, write_loops
+
+    slam = result.slam
+    assert slam is not None
+    accepted = sum(record.accepted for record in slam.records)
+    tried = len(slam.records)
+    say(f"{len(slam.graph)} nodes; {tried} loops tried: {accepted} closed, {tried - accepted} rejected")
+    if outputs.loops is not None:
+        write_loops(outputs.loops, slam)
+        wrote(outputs.loops, "every loop that was tried")
+    if outputs.graph is not None:
+        slam.graph.write_g2o(outputs.graph)
+        wrote(outputs.graph, "graph of poses, g2o")
+    if outputs.covariance is not None:
+        write_covariances(outputs.covariance, slam)
+        wrote(outputs.covariance, "how sure each pose is")
