@@ -1,4 +1,4 @@
-"""Files that are either the old one or the whole new one, never half of it.
+"""Files and folders that are either the old one or the whole new one, never half of it.
 
 Everything is written under a temporary name in the folder of the target, synced to the disk and
 renamed onto the target. A run that is killed leaves the old file; one that fails or is
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import IO, Any, TypeAlias
 from hexmap.base.errors import FileAccessError
 from hexmap.base.text import reason
 
-__all__ = ["PathLike", "atomic_path", "atomic_write"]
+__all__ = ["PathLike", "atomic_folder", "atomic_path", "atomic_write", "replaceable_folder"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
@@ -143,3 +144,82 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb", encoding: str |
     text_encoding, newline = (None, None) if binary else (encoding or "utf-8", "\n")
     with atomic_path(path) as temporary, open(temporary, mode, encoding=text_encoding, newline=newline) as handle:
         yield handle
+
+
+def replaceable_folder(path: str | os.PathLike[str], content: frozenset[str]) -> Path:
+    """Return the true path of a folder that may be made or replaced: it is missing, or holds files of ``content`` only.
+
+    Args:
+        path: the folder to make or to replace.
+        content: names of the files that it may hold.
+
+    Raises:
+        FileAccessError: a file of that name, a folder that holds anything else, or a parent folder that is missing or
+            write-protected.
+    """
+    given = Path(path)
+    target = Path(os.path.realpath(given))
+    if not target.parent.is_dir():
+        raise FileAccessError(f"{given}: cannot be written: there is no folder {target.parent}")
+    if not os.access(target.parent, os.W_OK):
+        raise FileAccessError(f"{given}: cannot be written: the folder {target.parent} is write-protected")
+    if os.path.lexists(target):
+        if not target.is_dir():
+            raise FileAccessError(f"{given}: cannot be written: there is a file of that name")
+        for entry in sorted(os.listdir(target)):
+            if entry not in content or not (target / entry).is_file():
+                raise FileAccessError(f"{given}: cannot be written: the folder holds something else, {entry}")
+    return target
+
+
+@contextlib.contextmanager
+def atomic_folder(path: str | os.PathLike[str], content: frozenset[str]) -> Iterator[Path]:
+    """Give the path of a folder to make and fill, which becomes ``path`` when the block ends well.
+
+    It has the name of ``path``, lies in a temporary folder beside it and does not exist yet. On any exception, Ctrl-C
+    included, the temporary folder is removed and ``path`` stays as it was. No system call replaces a folder that holds
+    files, so a process that is killed between two renames leaves the old one in the temporary folder.
+
+    Args:
+        path: the folder to make or to replace.
+        content: names of the files that a folder may hold to be replaced; any other is left alone.
+
+    Yields:
+        The path of the folder to make.
+
+    Raises:
+        FileAccessError: what :func:`replaceable_folder` refuses, or a full disk.
+    """
+    given, target = Path(path), replaceable_folder(path, content)
+    around = target.with_name(f".{target.name[:100]}.{os.getpid()}-{os.urandom(4).hex()}")
+    try:
+        around.mkdir()
+    except OSError as error:
+        raise _cannot_write(given, error) from error
+    made, old = around / target.name, around / "replaced" / target.name
+    try:
+        yield made
+        for entry in sorted(made.iterdir()):
+            with open(entry, "rb") as handle:
+                os.fsync(handle.fileno())
+        _sync_folder(made)
+        try:
+            if os.path.lexists(target):
+                # A folder cannot be renamed onto one that holds files: the old one steps aside first.
+                old.parent.mkdir()
+                os.rename(target, old)
+            try:
+                os.rename(made, target)
+            except OSError:
+                if old.exists():
+                    os.rename(old, target)
+                raise
+        except OSError as error:
+            raise _cannot_write(given, error) from error
+        _sync_folder(target.parent)
+    except OSError as error:
+        if not isinstance(error, FileAccessError) and error.errno in _DISK_ERRORS:
+            raise FileAccessError(f"{given}: cannot be written: {reason(error)}") from error
+        raise
+    finally:
+        shutil.rmtree(around, ignore_errors=True)

@@ -9,27 +9,68 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.build import Associate, Readings, build_and_report
-from hexmap.cli.console import check_outputs, first_run_note, say, wrote
+from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, wrote
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
     from localisation.evaluation import ErrorStatistics
 
+
 def simulate(
-    building: Annotated[str, typer.Argument(help="office, castle or room.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The CARMEN log to write (.gz: compressed).")],
+    building: Annotated[str, typer.Argument(help="office, castle or room; warehouse3d for a LiDAR on several floors.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="The CARMEN log to write (.gz: compressed); warehouse3d: the folder of a ROS 2 bag."
+        ),
+    ],
     truth: Annotated[Path | None, typer.Option(help="Where to write the true poses (TUM).")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of noise and drift.")] = 0,
-    beams: Annotated[int, typer.Option(help="Beams of the laser over 180 degrees.")] = 181,
+    seed: Annotated[int, typer.Option(help="Seed of noise and drift; warehouse3d: of the building, too.")] = 0,
+    beams: Annotated[int | None, typer.Option(help="Beams of the laser over 180 degrees (181).")] = None,
+    rings: Annotated[int | None, typer.Option(help="Rings of the LiDAR (32).")] = None,
+    azimuths: Annotated[int | None, typer.Option(help="Columns of a sweep of the LiDAR (1024).")] = None,
+    noise: Annotated[float | None, typer.Option(help="Standard deviation of a range, m (0.01; LiDAR 0.02).")] = None,
+    missing: Annotated[float | None, typer.Option(help="Share of missing returns (0.005; LiDAR 0.01).")] = None,
+    people: Annotated[int | None, typer.Option(help="People who walk about in front of the LiDAR (none).")] = None,
+    scans: Annotated[int | None, typer.Option(help="Stop after so many scans of the LiDAR.")] = None,
     duration: Annotated[float | None, typer.Option(help="Stop after so many seconds of the drive.")] = None,
 ) -> None:
-    """Simulate a drive through a building: a laser log with odometry that drifts, and the true poses."""
+    """Simulate a drive through a building: what a laser or a LiDAR saw of it, and the true poses.
+
+    The log of a planar laser has odometry that drifts. The bag of the LiDAR has /points with a time for each point; the
+    true poses are those of the LiDAR at the end of each sweep.
+    """
+    from hexmap.base.errors import ArgumentError
+    from hexmap.simulator.buildings import BUILDINGS
+    from hexmap.simulator.space.warehouse import BUILDINGS_3D
+
+    if building not in BUILDINGS + BUILDINGS_3D:
+        raise ArgumentError(f"no building is called {building!r}; known are {', '.join(BUILDINGS + BUILDINGS_3D)}")
+    common = {name: value for name, value in (("noise", noise), ("missing", missing)) if value is not None}
+    planar = {"beams": beams}
+    space = {"rings": rings, "azimuths": azimuths, "people": people, "scans": scans}
+    in_space = building in BUILDINGS_3D
+    for name, value in (planar if in_space else space).items():
+        if value is not None:
+            raise typer.BadParameter(f"--{name}: not with {building}, only with a {'laser' if in_space else 'LiDAR'}")
+    if in_space:
+        given = {name: value for name, value in space.items() if value is not None}
+        _simulate_in_space(building, output, truth, seed, duration, {**common, **given})
+    else:
+        given = {} if beams is None else {"beams": beams}
+        _simulate_in_plane(building, output, truth, seed, duration, {**common, **given})
+
+
+def _simulate_in_plane(
+    building: str, output: Path, truth: Path | None, seed: int, duration: float | None, laser: dict[str, Any]
+) -> None:
+    """Write the log of a planar laser with ``laser`` as its settings."""
     from hexmap.simulator.buildings import make_building
     from hexmap.simulator.laser import Laser
     from hexmap.simulator.writer import write_log
 
     check_outputs({"--output": output, "--truth": truth})
-    summary = write_log(output, make_building(building), truth, laser=Laser(beams=beams), seed=seed, duration=duration)
+    summary = write_log(output, make_building(building), truth, laser=Laser(**laser), seed=seed, duration=duration)
     wrote(
         output,
         f"{summary.scans} scans, {summary.odometry} odometry readings, "
@@ -37,6 +78,40 @@ def simulate(
     )
     if truth is not None:
         wrote(truth, "true poses, one for each reading")
+
+
+def _simulate_in_space(
+    building: str, output: Path, truth: Path | None, seed: int, duration: float | None, settings: dict[str, Any]
+) -> None:
+    """Write the bag of a ring LiDAR; ``settings`` are its own, the number of people and of scans."""
+    from hexmap.base.atomic_files import replaceable_folder
+    from hexmap.simulator.space.bag import bag_content, write_bag
+    from hexmap.simulator.space.ring_lidar import RingLidar
+    from hexmap.simulator.space.run import People
+    from hexmap.simulator.space.warehouse import make_building_3d
+
+    replaceable_folder(output, bag_content(output))
+    check_outputs({"--truth": truth})
+    people, scans = People(settings.pop("people", 0)), settings.pop("scans", None)
+    lidar = RingLidar(**settings)
+    place = make_building_3d(building, seed)
+    share = 0.0
+    with progress_line("simulating", lambda: share) as update:
+
+        def on_scan(count: int, total: int) -> None:
+            nonlocal share
+            share = count / total
+            update(count)
+
+        run: dict[str, Any] = {"seed": seed, "people": people, "duration": duration, "scans": scans}
+        summary = write_bag(output, place, truth, lidar=lidar, **run, progress=on_scan)
+    wrote(
+        output,
+        f"{summary.scans} scans, {summary.points} points, {summary.metres:.1f} m in {summary.seconds:.0f} s",
+    )
+    if truth is not None:
+        wrote(truth, "true poses of the LiDAR, one for each scan")
+
 
 def merge(
     maps: Annotated[list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame.")],

@@ -251,6 +251,9 @@ def test_drives_are_smooth_and_keep_their_limits():
     turns = np.einsum("nji,njk->nik", rotations[:-1], rotations[1:])
     angles = np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1.0) / 2.0, -1.0, 1.0))
     assert angles.max() < 0.8 * dt
+    # Nor do the speed and the turn rate: each changes over most of a second.
+    assert np.linalg.norm(np.diff(steps[:, :2], axis=0), axis=1).max() < 0.1 * dt
+    assert np.linalg.norm(steps[0]) < 0.1 * dt and np.linalg.norm(steps[-1]) < 0.1 * dt
     # Up and down the ramps the robot pitches with them.
     rising = np.arcsin(rotations[:, 2, 0])
     assert rising.max() == pytest.approx(math.atan(slope), abs=0.02) == -rising.min()
@@ -266,6 +269,8 @@ def test_drives_refuse_nonsense():
         Drive3D([(0, 0), (1, 0)])
     with pytest.raises(ArgumentError, match="sway"):
         Drive3D(PATH, sway=1.0)
+    with pytest.raises(ArgumentError, match="easing"):
+        Drive3D(PATH, easing=-1.0)
 
 
 # --- sweeps -------------------------------------------------------------------------------------------------------

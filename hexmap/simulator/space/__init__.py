@@ -11,6 +11,7 @@ from the pose at its own time.
 Solids, way points and true poses share one frame, the building's: metres, x east, y north, z up from the ground floor.
 """
 
+from hexmap.simulator.space.bag import BagSummary, write_bag
 from hexmap.simulator.space.building import Building3D, Scene, SolidList, cast_in_space
 from hexmap.simulator.space.drive import Drive3D
 from hexmap.simulator.space.ring_lidar import RingLidar
@@ -19,6 +20,7 @@ from hexmap.simulator.space.warehouse import BUILDINGS_3D, make_building_3d
 
 __all__ = [
     "BUILDINGS_3D",
+    "BagSummary",
     "Building3D",
     "Drive3D",
     "People",
@@ -31,4 +33,5 @@ __all__ = [
     "make_building_3d",
     "scan_stamps",
     "simulate_lidar",
+    "write_bag",
 ]

@@ -18,17 +18,20 @@ __all__ = ["Drive3D"]
 _WHEELBASE = 0.8
 # The frame of a robot that drives is never quite still: roll and pitch sway at these rates, in Hz.
 _SWAY_RATES = (0.7, 1.1)
+# Into how many parts the time over which a drive is eased is cut; more would change a pose by less than a millimetre.
+_PARTS = 16
 
 
 class Drive3D:
     """A drive over floors and ramps: smooth in x, y, z, yaw, pitch and roll.
 
     The plan is that of :class:`hexmap.simulator.drive.Drive`; corners are on the flat and legs that rise are straight.
-    The height is that of the ground, averaged over the distance between the axles, and the pitch follows from it. Roll
-    and pitch sway a little.
+    The robot does not start, stop or begin a turn at once: place and heading are averaged over a short time. The height
+    is that of the ground, averaged over the distance between the axles, and the pitch follows from it. Roll and pitch
+    sway a little.
 
     Attributes:
-        duration: seconds from the first way point to the last.
+        duration: seconds from standing at the first way point to standing at the last.
         length: metres driven, in the plan.
     """
 
@@ -42,6 +45,7 @@ class Drive3D:
         speed: float = 1.2,
         turn_rate: float = 0.8,
         corner_radius: float = 0.8,
+        easing: float = 0.8,
         sway: float = math.radians(0.3),
         seed: int = 0,
     ) -> None:
@@ -52,6 +56,7 @@ class Drive3D:
             speed: metres a second in the plan, on the straight and on ramps.
             turn_rate: the fastest turn, radians a second.
             corner_radius: radius of the arc at a corner in metres; smaller where the legs are short.
+            easing: seconds that a change of speed or of the turn rate takes.
             sway: amplitude of the swaying of roll and pitch, radians; 0 for none.
             seed: of the phases of the swaying, zero or more.
 
@@ -62,6 +67,8 @@ class Drive3D:
         points = np.asarray(waypoints, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ArgumentError(f"a drive in space takes finite way points (W, 3), not an array {points.shape}")
+        if not (math.isfinite(easing) and easing >= 0.0):
+            raise ArgumentError(f"the easing of a drive must be zero or more seconds, not {easing}")
         if not (math.isfinite(sway) and 0.0 <= sway < 0.2):
             raise ArgumentError(f"the sway of a drive must be between 0 and 0.2 radians, not {sway}")
         if seed < 0:
@@ -75,7 +82,9 @@ class Drive3D:
         if (turned & (rises[:-1] | rises[1:])).any():
             corner = 1 + int(np.argmax(turned & (rises[:-1] | rises[1:])))
             raise ArgumentError(f"way point {corner} of the drive is a corner beside a leg that rises")
-        self.duration, self.length = self._plan.duration, self._plan.length
+        self.duration, self.length = self._plan.duration + easing, self._plan.length
+        # The plan at these times before a moment makes the pose at that moment.
+        self._delays = easing * (np.arange(_PARTS) + 0.5) / _PARTS if easing > 0.0 else np.zeros(1)
         # The height of the ground over time is linear between these, and so its integral is quadratic.
         times = self._plan.leg_times.ravel()
         heights = np.column_stack([points[:-1, 2], points[1:, 2]]).ravel()
@@ -88,7 +97,7 @@ class Drive3D:
 
     def length_until(self, time: float) -> float:
         """Return the metres driven in the plan after ``time`` seconds."""
-        return self._plan.length_until(time)
+        return sum(self._plan.length_until(time - delay) for delay in self._delays.tolist()) / len(self._delays)
 
     def poses(self, times: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return where the robot is at ``times`` (N,) seconds: positions (N, 3) in metres and rotations (N, 3, 3).
@@ -96,9 +105,14 @@ class Drive3D:
         The position is that of the ground below the middle of the robot, the rotation T_map_robot's.
         """
         t = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        x, y, yaw = self._plan.poses(t).T
+        plan = np.zeros((len(t), 3))
+        for delay in self._delays.tolist():
+            plan += self._plan.poses(t - delay)
+        x, y, yaw = plan.T / len(self._delays)
+        # Speed is constant wherever the ground rises, so there the average of the places is the place at the mean time.
         window = _WHEELBASE / self._speed
-        before, after = t - 0.5 * window, t + 0.5 * window
+        middle = t - float(self._delays.mean())
+        before, after = middle - 0.5 * window, middle + 0.5 * window
         z = (self._area(after) - self._area(before)) / window
         climb = self._ground(after) - self._ground(before)
         roll, pitch = (

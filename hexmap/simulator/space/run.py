@@ -137,7 +137,7 @@ def simulate_lidar(
 
     Args:
         building: the solids and the path.
-        drive: how the path is driven; at 1.2 m/s by default.
+        drive: how the path is driven; at 1.2 m/s by default, swaying as the seed says.
         lidar: settings of the LiDAR.
         seed: of noise, missing returns and people, zero or more.
         people: who walks about; nobody by default.
@@ -160,7 +160,7 @@ def simulate_lidar(
     # Checked here rather than in the generator, so that the caller hears of it at once.
     if seed < 0:
         raise ArgumentError(f"a seed must be zero or more, not {seed}")
-    drive, lidar = drive or Drive3D(building.waypoints), lidar or RingLidar()
+    drive, lidar = drive or Drive3D(building.waypoints, seed=seed), lidar or RingLidar()
     stamps = scan_stamps(drive, lidar, duration, scans)
     return _scans(building, drive, lidar, seed, people or People(), stamps)
 
