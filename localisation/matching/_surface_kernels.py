@@ -92,14 +92,22 @@ def first_of_each(index, mask, chosen):
 
 @njit(cache=True, nogil=True)
 def find_planes(arrays, tables, placed, index, planes):
-    """Quantise points (P, 3) and find the row of the plane in each one's cell; -1 where there is none."""
+    """Quantise points (P, 3) and find the row of the plane in each one's cell; -1 where there is none.
+
+    Returns:
+        How many lie in cells that hold points, on a plane or not.
+    """
+    met = 0
     quantise_3d(placed, tables.inverse, tables.gram2, tables.constants, tables.extra, tables.extra_constants,
                 tables.to_public, tables.limit, index)  # fmt: skip
     for k in range(placed.shape[0]):
         at = slot(arrays.table, cell_key(np.int64(index[k, 0]), np.int64(index[k, 1]), np.int64(index[k, 2]), 3))
         planes[k] = -1
-        if arrays.table[at] != EMPTY and arrays.variances[arrays.rows[at]] >= 0.0:
-            planes[k] = arrays.rows[at]
+        if arrays.table[at] != EMPTY:
+            met += 1
+            if arrays.variances[arrays.rows[at]] >= 0.0:
+                planes[k] = arrays.rows[at]
+    return met
 
 
 @njit(cache=True, nogil=True)

@@ -21,6 +21,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
 
@@ -56,6 +57,7 @@ class Drawn:
         information: (6, 6) of a small motion, translation and rotation vector in the map's axes about the sensor: what
             the planes say if their points are independent.
         share: of the points that lie on a plane within three standard deviations, 0 to 1.
+        met: share of the points in cells that hold any points, 0 to 1.
         sigma: weighted root mean square distance from the planes, metres.
         converged: whether the last step was small and the pose stayed near where it began.
     """
@@ -63,6 +65,7 @@ class Drawn:
     pose: Pose
     information: FloatArray
     share: float
+    met: float
     sigma: float
     converged: bool
 
@@ -180,6 +183,14 @@ class SurfaceMap:
             self._keys[self._arrays.rows[taken]] = self._arrays.table[taken]
         return self.lattice.centres(unpack(self._keys[rows], 3))
 
+    def cells(self) -> VoxelList:
+        """Return the cells that hold points."""
+        from hexmap.lattice.keys import unpack
+
+        self._centres(np.zeros(1, np.int64))
+        holds = self._arrays.sums[: self._used, 0] > 0.0
+        return VoxelList.from_cells(unpack(self._keys[: self._used][holds], 3), self.lattice)
+
     def planes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return points on the planes (M, 3), unit normals (M, 3), and how many points each has (M,)."""
         rows = np.flatnonzero(self._arrays.variances[: self._used] >= 0.0)
@@ -200,15 +211,15 @@ class SurfaceMap:
         index, planes = np.empty((len(points), 3), np.int32), np.empty(len(points), np.int64)
         H, g = np.zeros((6, 6)), np.zeros(6)
         pose, width, small = start, _FIRST_WIDTH * self.lattice.resolution, False
-        sigma, count, total = 0.0, 0, 0.0
+        sigma, count, total, met = 0.0, 0, 0.0, 0
         for _ in range(_STEPS):
             placed = pose.apply(points)
-            kernels.find_planes(self._arrays, tables, placed, index, planes)
+            met = kernels.find_planes(self._arrays, tables, placed, index, planes)
             total, squares, count = kernels.normal_equations(
                 self._arrays, placed, planes, pose.translation, width, H, g
             )
             if count < _ENOUGH:
-                return Drawn(start, np.zeros((6, 6)), 0.0, 0.0, False)
+                return Drawn(start, np.zeros((6, 6)), 0.0, met / max(1, len(points)), 0.0, False)
             sigma = math.sqrt(squares / total)
             if small:
                 break
@@ -222,10 +233,10 @@ class SurfaceMap:
             width = max(0.5 * width, least)
         moved = math.dist(pose.translation, start.translation)
         near = self._near(pose.apply(points), planes, 3.0 * max(sigma, _LEAST_SIGMA))
-        share = near / max(1, len(points))
+        share, met_share = near / max(1, len(points)), met / max(1, len(points))
         if moved > farthest * self.lattice.resolution:
-            return Drawn(start, np.zeros((6, 6)), share, sigma, False)
-        return Drawn(pose, H / max(sigma, _LEAST_SIGMA) ** 2, share, sigma, True)
+            return Drawn(start, np.zeros((6, 6)), share, met_share, sigma, False)
+        return Drawn(pose, H / max(sigma, _LEAST_SIGMA) ** 2, share, met_share, sigma, True)
 
     def _near(self, placed: FloatArray, planes: IntArray, metres: float) -> int:
         """Return how many points lie nearer to their planes than some metres."""

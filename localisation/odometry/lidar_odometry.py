@@ -7,6 +7,8 @@ it says of the motion since the scan before is where :class:`~localisation.match
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +20,10 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.lidar_settings import LidarSettings
+from localisation.matching.global_matcher import GlobalMatcher, spread_points
+from localisation.matching.pyramid import OccupancyPyramid
+from localisation.matching.score import coincidence
+from localisation.matching.search_region import SearchRegion
 from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
 from localisation.odometry.sweep import Velocity, deskewed
 from localisation.settings import limit_of
@@ -34,6 +40,15 @@ _SURFACE = 0.5
 _DRAWN = 1.0 / 3.0
 # Points on surfaces at least, as a share, or the scan has met something else.
 _LEAST_SHARE = 0.1
+# A scan of which fewer points lie in cells that hold points, or fewer lie on surfaces than this part of what is usual,
+# may have been put where it is not: it is searched for. In a new room half of what is seen is new.
+_DOUBTFUL, _UNUSUAL = 0.6, 0.7
+# How far around the last pose: sparse scans and steps that no constant velocity foretells, metres and radians of tilt.
+_SEARCH_METRES, _SEARCH_TILT = 3.0, math.radians(5.0)
+_SEARCH_POINTS = 400
+_SEARCH_NODES = 200_000
+# Scans that KISS-ICP's map is made of again where it was lost.
+_KEPT = 10
 
 
 def import_kiss_icp() -> Any:
@@ -95,6 +110,8 @@ class LidarOdometry:
     Attributes:
         surfaces: what scans are drawn onto; None before the first scan. It may be replaced by another one, with
             :meth:`move_to` where its frame is another.
+        searches: scans that were searched for, and
+        found: those of them that lay elsewhere than KISS-ICP had put them.
     """
 
     def __init__(self, settings: LidarSettings) -> None:
@@ -111,19 +128,31 @@ class LidarOdometry:
         self._pose = Pose.identity(3)
         self._stamp: float | None = None
         self._velocity: Velocity | None = None
+        self._usual: float | None = None
+        self._recent: deque[tuple[FloatArray, Pose]] = deque(maxlen=_KEPT)
+        self.searches = self.found = 0
 
     def _begin(self, points: FloatArray) -> None:
-        KissICP, KISSConfig = import_kiss_icp()
         lattice, voxel = surface_lattice(self.settings.make_lattice(), points)
         self.surfaces = SurfaceMap(lattice)
         self._thin = lattice.scaled(_DRAWN)
+        self._voxel = voxel
+        self._begin_kiss_icp()
+
+    def _begin_kiss_icp(self) -> None:
+        """Begin KISS-ICP anew, from the last scans where they are."""
+        KissICP, KISSConfig = import_kiss_icp()
         config = KISSConfig()
         # Scans come deskewed and within their ranges. One thread, so that a log gives the same bits on any machine.
         config.data.deskew = False
         config.data.min_range, config.data.max_range = 0.0, limit_of(self.settings.max_range)
-        config.mapping.voxel_size = voxel
+        config.mapping.voxel_size = self._voxel
         config.registration.max_num_threads = 1
         self._kiss = KissICP(config)
+        self._kiss.last_pose = self._pose.matrix()
+        self._kiss_pose = self._pose
+        for points, pose in self._recent:
+            self._kiss.local_map.update(points, pose.matrix())
 
     def in_range(self, points: FloatArray) -> FloatArray:
         """Return the points (N, 3) in the range that is mapped."""
@@ -153,13 +182,46 @@ class LidarOdometry:
         else:
             moved = scan
         drawn = self.surfaces.draw(thin, predicted) if len(self.surfaces) else None
+        if drawn is not None and self._is_doubtful(drawn):
+            drawn = self._search(thin, drawn)
         held = drawn is not None and drawn.converged and drawn.share >= _LEAST_SHARE
         pose = drawn.pose if drawn is not None and held else predicted
+        if drawn is not None and held:
+            self._usual = drawn.share if self._usual is None else 0.9 * self._usual + 0.1 * drawn.share
         if scan.times is not None:
             moved = replace(scan, points=deskewed(scan, self._since(scan.stamp, pose)), times=None)
         self._velocity = self._since(scan.stamp, pose) or self._velocity
         self._pose, self._stamp = pose, scan.stamp
+        self._recent.append((thin, pose))
+        if math.dist((predicted.inverse() @ pose).translation, (0.0, 0.0, 0.0)) > self._voxel:
+            self._begin_kiss_icp()
         return RegisteredSweep(moved, pose, predicted, thin, drawn)
+
+    def _is_doubtful(self, drawn: Drawn) -> bool:
+        """Tell whether a scan may lie somewhere else than where it was drawn."""
+        usual = drawn.share if self._usual is None else self._usual
+        return not drawn.converged or drawn.met < _DOUBTFUL or drawn.share < _UNUSUAL * usual
+
+    def _search(self, thin: FloatArray, drawn: Drawn) -> Drawn:
+        """Search for a scan around the last pose; return what it is drawn to there, where that fits better."""
+        assert self.surfaces is not None
+        self.searches += 1
+        matcher = GlobalMatcher(OccupancyPyramid(coincidence(self.surfaces.cells())))
+        # With the attitude that it had last, so that what is left to find is yaw and a little tilt.
+        level = Pose(self._pose.rotation, np.zeros(3))
+        centre = self._pose.translation
+        match = matcher.match(
+            level.apply(spread_points(thin, self.surfaces.lattice, _SEARCH_POINTS)),
+            SearchRegion(centre - _SEARCH_METRES, centre + _SEARCH_METRES, tilt=_SEARCH_TILT),
+            runner_up=None, refine=False, beams=False, information=False, node_limit=_SEARCH_NODES,
+        )  # fmt: skip
+        if match is None:
+            return drawn
+        there = self.surfaces.draw(thin, match.pose @ level, farthest=2.0)
+        if there.converged and (there.share > drawn.share or not drawn.converged):
+            self.found += 1
+            return there
+        return drawn
 
     def _since(self, stamp: float, pose: Pose) -> Velocity | None:
         """Return the velocity from the scan before to a pose."""
@@ -169,4 +231,6 @@ class LidarOdometry:
 
     def move_to(self, pose: Pose) -> None:
         """Go on from another pose of the sensor at the last scan: the map has moved under it."""
+        back = pose @ self._pose.inverse()
+        self._recent = deque(((points, back @ there) for points, there in self._recent), maxlen=_KEPT)
         self._pose = pose
