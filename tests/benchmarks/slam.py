@@ -166,12 +166,12 @@ def _agreement(source: Path, way: Trajectory) -> str:
     return f"{off:.4f} ({share:.0%})"
 
 
-def poor(folder: Path) -> None:
+def poor(folder: Path, logs: tuple[str, ...] = ("intel", "aces", "csail")) -> None:
     """Print how far logs come with odometry thrown away, ten times worse, and with every second scan missing."""
     rows: list[list[object]] = [["poor input", "odometry", "none", "ten times worse", "every second scan"]]
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
-        for log in ("intel", "aces", "csail"):
+        for log in logs:
             source = folder / f"{LOGS[log]}.clf.gz"
             worse, fewer = work / "worse.clf", work / "fewer.clf"
             _spoil(source, worse, 10.0, 1)
