@@ -153,6 +153,11 @@ class BranchAndBound:
         count, n = self.points.shape
         slots = max(64, min(_SLOTS, _SLOT_BYTES // (count * n * 4)))
         exact = max(16, min(_EXACT_SLOTS, _EXACT_BYTES // (room * (n * 4 + 20) + count * (n * 4 + 8))))
+        # A narrow window has few cells of rotations: twice to four times as many slots, so that few share one; by
+        # powers of two, so that the next scan finds as many.
+        cells = [self._rotation_count(level) for level in range(self.top + 1)]
+        slots = min(slots, max(64, 2 << sum(cells).bit_length()))
+        exact = min(exact, max(16, 2 << cells[0].bit_length()))
         key = (slots, exact, count, n, room)
         scratch = self.space.scratch
         if getattr(scratch, "key", None) != key:

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.arrays import FloatArray, IntArray, multiply
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
 from localisation.matching.pyramid import OccupancyPyramid, cell_reach
@@ -104,12 +104,12 @@ class _Placed:
         radians = min(steps * wide * self.lattice.resolution / self.lever, math.pi)
         along = np.linspace(-radians, radians, 2 * steps + 1)
         vectors = np.stack(np.meshgrid(*[along] * self.turns, indexing="ij"), axis=-1).reshape(-1, self.turns)
-        index = np.empty((len(vectors), len(self.points), n), np.int64)
+        moved = np.empty((len(vectors), len(self.points), n))
         for k, vector in enumerate(vectors):
             R = Pose.planar(0.0, 0.0, float(vector[0])).rotation if n == 2 else exponential(vector)
-            moved = Pose(R @ self.pose.rotation, self.pose.translation).apply(self.points)
-            index[k] = self.lattice.quantise(moved)
-        return shifts, vectors, index
+            moved[k] = multiply(self.points, R @ self.pose.rotation) + self.pose.translation
+        index = self.lattice.quantise(moved.reshape(-1, n)).astype(np.int64)
+        return shifts, vectors, index.reshape(moved.shape)
 
     def narrow(self, T: float) -> FloatArray:
         """Return the second moments of the surface of scores, cell by cell."""

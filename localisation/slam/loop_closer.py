@@ -26,7 +26,7 @@ from localisation.matching.search_region import SearchRegion
 from localisation.slam import planar
 from localisation.slam.pose_graph import Edge, PoseGraph
 from localisation.slam.settings import LoopSettings
-from localisation.slam.submap import SMALL_WINDOW, Cells, Submap, SubmapCells
+from localisation.slam.submap import SMALL_WINDOW, Cells, Submap, SubmapCells, in_view
 
 __all__ = ["LoopCloser", "LoopRecord", "local_covariance", "some_points"]
 
@@ -141,9 +141,10 @@ class LoopCloser:
         spread = self._graph.relative_covariances(j, [0])[0]
         slack = self.settings.sigmas * math.sqrt(max(float(np.linalg.eigvalsh(spread[:2, :2])[-1]), 0.0))
         near = self.near(j, slack)
-        chosen = []
-        for run in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
-            chosen.append(self._best_of(run[run <= last], j))
+        near = near[near <= last]
+        views = in_view(self._submaps, self._graph.poses, near, j)
+        visits = np.flatnonzero(np.diff(near) > 1) + 1
+        chosen = [self._best_of(*visit) for visit in zip(np.split(near, visits), np.split(views, visits), strict=True)]
         asked = [i for visit in chosen for _, i in visit]
         covariances = dict(zip(asked, self._graph.relative_covariances(j, asked), strict=True))
         found = []
@@ -163,9 +164,9 @@ class LoopCloser:
         found.sort(key=lambda pair: (pair[0], pair[1].i))
         return [candidate for _, candidate in found[: self.settings.searches]]
 
-    def _best_of(self, run: IntArray, j: int) -> list[tuple[float, int]]:
-        """Return those of a visit's submaps that have most in view of ``j``, with how much, and are no neighbours."""
-        ranked = sorted(((self._in_view(int(i), j), int(i)) for i in run), key=lambda pair: (-pair[0], pair[1]))
+    def _best_of(self, run: IntArray, views: FloatArray) -> list[tuple[float, int]]:
+        """Return those of a visit's submaps ``run`` that have most in view, with how much, and are no neighbours."""
+        ranked = sorted(zip(views.tolist(), run.tolist(), strict=True), key=lambda pair: (-pair[0], pair[1]))
         best: list[tuple[float, int]] = []
         for view, i in ranked:
             if len(best) < self.settings.searches and all(abs(i - other) >= _NEIGHBOURS - 1 for _, other in best):
@@ -184,14 +185,6 @@ class LoopCloser:
         y = poses[:, 1] + turn[:, 1] * middles[:, 0] + turn[:, 0] * middles[:, 1]
         apart = np.hypot(x - x[j], y - y[j])
         return np.flatnonzero(apart[:j] < middles[:j, 2] + middles[j, 2] + slack)
-
-    def _in_view(self, i: int, j: int) -> float:
-        """Return the share of the squares of two submaps on or beside those of the other: the mean of both."""
-        a, b = self._submaps[i], self._submaps[j]
-        T_a_b = planar.to_pose(planar.between(self._graph.pose(i), self._graph.pose(j)))
-        by_a = b.in_view(T_a_b.inverse().apply(a.coarse)) / max(1, len(a.coarse))
-        by_b = a.in_view(T_a_b.apply(b.coarse)) / max(1, len(b.coarse))
-        return math.sqrt(by_a * by_b)
 
     def _is_known(self, metres: float, radians: float, new: Submap) -> bool:
         known = _KNOWN * self._cells.fine.resolution
@@ -308,7 +301,8 @@ class LoopCloser:
         reverse = self._search(new, old, back, away @ candidate.covariance @ away.T, both=False)
         if reverse is None:
             return replace(record, reason="the reverse search finds nothing")
-        reverse_pose = refine_on(new.fine, old.fine_points, reverse.pose, searched=self._cells.lattice).pose
+        points = some_points(old.fine_points, _MOST_POINTS)
+        reverse_pose = refine_on(new.fine, points, reverse.pose, searched=self._cells.lattice).pose
         # Where the walls of the new submap come to lie by one and by the other.
         middle = self._submaps[record.j].middle[None]
         off = math.dist(reverse_pose.inverse().apply(middle)[0], pose.apply(middle)[0])

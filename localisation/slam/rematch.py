@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.lattice.keys import pack, unpack
 from hexmap.maps.builder import MapBuilder
 from hexmap.maps.counter import PASSES, CellCounter
 from hexmap.maps.state_rule import StateRule
@@ -83,7 +84,8 @@ class _Others:
 
     def _own_cells(self, points: FloatArray) -> IntArray:
         """Return the cells (M, n) that are occupied by nothing but these points (P, n)."""
-        index, own = np.unique(self.counter.lattice.quantise(points), axis=0, return_counts=True)
+        keys, own = np.unique(pack(self.counter.lattice.quantise(points)), return_counts=True)
+        index = unpack(keys, self.counter.lattice.dim)
         hits, passes = self.counter.find(index), self.counter.find(index, PASSES)
         alone = self.rule.occupied(hits, passes) & ~self.rule.occupied(hits - own, passes)
         return index[alone].astype(np.int64)

@@ -415,11 +415,15 @@ class Slam:
     # ------------------------------------------------------------------ the end
 
     def finish(self) -> SlamResult:
-        """Close what loops are left, and return all poses."""
+        """Close what loops are left, and return all poses; no scan can be taken after that."""
         self._take_readings(self._odometry.finish())
         if len(self.graph):
             self._settle()
         self.closer.finish()
+        # The final map needs the memory of what scans and submaps were matched against.
+        self._cells.forget()
+        self._local = LocalMap(self.settings)
+        self._odometry.match_against(self._local.builder)
         if len(self.graph) > 1:
             self.closer.throw_out(self.graph.optimise_robustly(self.loops.probability))
         poses, covariances = self._poses()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -31,7 +31,7 @@ from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
 from localisation.slam import planar
 
-__all__ = ["Cells", "CompactScan", "Stretch", "Submap", "SubmapCells", "compact", "make_stretch"]
+__all__ = ["Cells", "CompactScan", "Stretch", "Submap", "SubmapCells", "compact", "in_view", "make_stretch"]
 
 # Scans whose beams say what is free in a submap: more say little more.
 _FREE_SCANS = 8
@@ -132,11 +132,12 @@ class Submap:
                 view[tuple((squares - corner + [i, j]).T)] = True
         return cls(number, before, after, middle, reach, (squares + 0.5).astype(np.float64), view, corner)
 
-    def in_view(self, points: FloatArray) -> int:
-        """Return how many of some points (P, n) in its frame lie on its squares of a metre or beside them."""
+    def seen(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Tell which of some points (P, n) in its frame lie on its squares of a metre or beside them, (P,)."""
         at = np.floor(points).astype(np.int64) - self.corner
         inside = ((at >= 0) & (at < self.view.shape)).all(axis=1)
-        return int(self.view[tuple(at[inside].T)].sum())
+        at[~inside] = 0
+        return self.view[at[:, 0], at[:, 1]] & inside
 
     def points(self) -> tuple[FloatArray, IntArray]:
         """Return its points (P, n) in its own frame, metres, and how many each stands for."""
@@ -154,6 +155,39 @@ def _points(before: Stretch | None, after: Stretch) -> tuple[FloatArray, IntArra
         return points, weights
     earlier = planar.to_pose(before.motion).inverse().apply(before.points)
     return np.concatenate([earlier, points]), np.concatenate([before.weights.astype(np.int64), weights])
+
+
+def in_view(submaps: Sequence[Submap], poses: FloatArray, chosen: IntArray, j: int) -> FloatArray:
+    """Return how much each of some submaps and submap ``j`` have in view of one another, 0 to 1, (M,).
+
+    It is the share of the squares of a metre of the one that lie on those of the other or beside them, both ways round.
+
+    Args:
+        submaps: all of them.
+        poses: (N, 3) T_map_submap of all.
+        chosen: (M,) which are asked for.
+        j: the one that they are compared with.
+    """
+    if not len(chosen):
+        return np.zeros(0)
+    b, some = submaps[j], [submaps[i] for i in chosen.tolist()]
+    T_a_b = planar.between(poses[chosen], np.broadcast_to(poses[j], (len(chosen), 3)))
+    counts = np.array([len(a.coarse) for a in some])
+    of_a = np.repeat(np.arange(len(some)), counts)
+    in_b = _moved(planar.invert(T_a_b)[of_a], np.concatenate([a.coarse for a in some]))
+    by_a = np.bincount(of_a, b.seen(in_b), len(some)) / np.maximum(1, counts)
+    by_b = np.empty(len(some))
+    in_a = _moved(T_a_b[:, None], b.coarse[None])
+    for k, a in enumerate(some):
+        by_b[k] = a.seen(in_a[k]).sum() / max(1, len(b.coarse))
+    return np.asarray(np.sqrt(by_a * by_b))
+
+
+def _moved(rows: FloatArray, points: FloatArray) -> FloatArray:
+    """Return points (..., 2) moved by poses (..., 3)."""
+    c, s = np.cos(rows[..., 2]), np.sin(rows[..., 2])
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([rows[..., 0] + c * x - s * y, rows[..., 1] + s * x + c * y], axis=-1)
 
 
 class Cells:
@@ -242,6 +276,10 @@ class SubmapCells:
         if len(self._cells) > self._kept:
             self._cells.popitem(last=False)
         return cells
+
+    def forget(self) -> None:
+        """Give back the memory of all cells; they are made again when they are asked for."""
+        self._cells.clear()
 
     def passed(self, submap: Submap) -> VoxelList:
         """Return the cells without a wall that beams of some of a submap's scans went through."""
