@@ -121,8 +121,8 @@ class Localiser:
         self._states = states
         self._clouds: CloudMatcher | None = None
         self._gathering: Gathering | None = None
-        # Metres gathered when the cloud was last asked whether it singles out a place.
-        self._asked = -math.inf
+        # Metres to be gathered before the cloud is next asked whether it singles out a place.
+        self._ask_from = 0.0
         if start is not None:
             sensor = start @ self.mount
             self._places = [Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
@@ -222,7 +222,7 @@ class Localiser:
         """Add a scan to those since the robot was last known to be somewhere."""
         if self._gathering is None:
             self._gathering = Gathering(self.matcher.lattice, self.settings, self.mount)
-            self._asked = -math.inf
+            self._ask_from = 0.0
         reading = scan.odometry if scan.odometry is not None else self._reading
         self._gathering.add(replace(scan, odometry=reading))
 
@@ -230,7 +230,8 @@ class Localiser:
         """Return T_map_sensor where all that was gathered singles out one place."""
         if self._clouds is None:
             self._clouds = CloudMatcher(self._states, self.settings)
-        self._asked = gathering.way
+        # A quarter more, so that it is new evidence; a search takes as long as some dozens of scans.
+        self._ask_from = max(1.25 * gathering.way, gathering.way + self.settings.step_metres)
         match = self._clouds.find(gathering.cloud())
         return None if match is None else match.pose
 
@@ -244,7 +245,7 @@ class Localiser:
             return
         place = Place(pose, Pose.identity(self.dim), Pose.identity(self.dim))
         self._judge(place, points, self._match_near(points, pose), True)
-        if place.match is not None and self._agrees(place):
+        if place.match is not None and self._agrees(place, loosely=True):
             place.tracked = True
             self._places = [place]
             self._track_from(self._match_covariance(points, place.match))
@@ -254,7 +255,7 @@ class Localiser:
         gathering = self._gathering
         if place.tracked or gathering is None:
             return True
-        if gathering.way < self._asked + self.settings.step_metres:
+        if gathering.way < self._ask_from:
             return False
         pose = self._find_all(gathering)
         metres, radians = self.settings.apart

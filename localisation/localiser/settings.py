@@ -40,7 +40,7 @@ class LocaliserSettings:
         sigmas: standard deviations from these shares at which a map is said not to fit (2.33: one scan in a hundred).
         patience: scans over which a tracked pose is judged.
         gather_step: metres after which all scans since the robot was lost are looked for at once; later ones are rarer.
-        gather_metres: metres of them at the most; by then their odometry has drifted by some cells, and they begin again.
+        gather_metres: metres of them at the most: by then their odometry has drifted by some cells.
         drift: metres a metre and radians a radian by which odometry errs.
         drift_metres: metres by which it errs in any case.
         drift_radians: radians by which it errs in any case.
