@@ -66,12 +66,14 @@ class CloudMatcher:
         known = VoxelList.from_points(states.free.centres(), self.lattice) if len(states.free) else None
         self._matcher = GlobalMatcher(OccupancyPyramid(field), known)
 
-    def find(self, cloud: FloatArray) -> Match | None:
-        """Return the place of a cloud (P, 2) in the sensor's frame; None where there is none or another may be true.
+    def find(self, cloud: FloatArray, *, alone: bool) -> Match | None:
+        """Return the best place of a cloud (P, 2) in the sensor's frame; None where too little of it is explained.
 
-        Doors, furniture and what the map leaves out favour a wrong place at the most by as much as they are. So another
-        place is no rival if it is behind by more than all that the best leaves unexplained, or if it does not reach
-        ``settings.part`` of the best score: then nearly all of it had to speak for the wrong place.
+        Args:
+            cloud: what was gathered.
+            alone: whether another place that reaches ``settings.part`` of the best score always makes the answer None.
+                If not, it does where the map leaves as much of the cloud unexplained as makes a rival: doors, furniture
+                and what is not drawn favour a wrong place as well.
         """
         s = self.settings
         points, _ = thin(cloud, self.lattice)
@@ -83,8 +85,8 @@ class CloudMatcher:
         )  # fmt: skip
         if match is None or not match.certified or match.runner_up_bound is None:
             return None
-        allowed = max(math.floor(s.part * match.score), 2 * match.score - match.total)
-        return match if match.runner_up_bound <= allowed else None
+        rival = match.runner_up_bound > math.floor(s.part * match.score)
+        return None if rival and (alone or match.fraction < s.part) else match
 
 
 class Gathering:

@@ -4,7 +4,7 @@ Lost: the whole map is searched for the scan. Ambiguous: all poses that fit are 
 is matched against every new scan, and what they score adds up until one stands out. Tracking: the scan is matched
 around the prediction, and both are fused by their information. When the scans of some time disagree with the map, the
 robot is lost. In the plane the scans are also gathered into one cloud until the robot is found: no pose is answered
-that the cloud does not single out, and where single scans say too little the cloud is what finds it.
+that the cloud does not bear out, and where single scans say too little the cloud is what finds it.
 """
 
 from __future__ import annotations
@@ -226,13 +226,13 @@ class Localiser:
         reading = scan.odometry if scan.odometry is not None else self._reading
         self._gathering.add(replace(scan, odometry=reading))
 
-    def _find_all(self, gathering: Gathering) -> Pose | None:
-        """Return T_map_sensor where all that was gathered singles out one place."""
+    def _find_all(self, gathering: Gathering, *, alone: bool) -> Pose | None:
+        """Return T_map_sensor where all that was gathered fits, ``alone``: only if it fits nowhere else."""
         if self._clouds is None:
             self._clouds = CloudMatcher(self._states, self.settings)
         # A quarter more, so that it is new evidence; a search takes as long as some dozens of scans.
         self._ask_from = max(1.25 * gathering.way, gathering.way + self.settings.step_metres)
-        match = self._clouds.find(gathering.cloud())
+        match = self._clouds.find(gathering.cloud(), alone=alone)
         return None if match is None else match.pose
 
     def _search_for_all(self, gathering: Gathering, points: FloatArray) -> None:
@@ -240,7 +240,7 @@ class Localiser:
         if gathering.way < gathering.due:
             return
         gathering.searched()
-        pose = self._find_all(gathering)
+        pose = self._find_all(gathering, alone=True)
         if pose is None:
             return
         place = Place(pose, Pose.identity(self.dim), Pose.identity(self.dim))
@@ -250,14 +250,14 @@ class Localiser:
             self._places = [place]
             self._track_from(self._match_covariance(points, place.match))
 
-    def _is_singled_out(self, place: Place) -> bool:
+    def _is_best_of_all(self, place: Place) -> bool:
         """Tell whether all that was gathered says so too: scans of the same walls do not count anew each time."""
         gathering = self._gathering
         if place.tracked or gathering is None:
             return True
         if gathering.way < self._ask_from:
             return False
-        pose = self._find_all(gathering)
+        pose = self._find_all(gathering, alone=False)
         metres, radians = self.settings.apart
         return pose is not None and is_same_place(pose, place.pose, (2.0 * metres, radians))
 
@@ -378,7 +378,7 @@ class Localiser:
         alone = len(kept) == 1 or best.likelihood - kept[1].likelihood >= math.log(s.odds)
         known = best.tracked or len(best.judged) >= s.scans
         if alone and known and self._complete and best.match is not None and self._agrees(best):
-            if not self._is_singled_out(best):
+            if not self._is_best_of_all(best):
                 return
             best.tracked = True
             self._places = [best]
