@@ -44,7 +44,9 @@ class Refinement:
     converged: bool
 
 
-def refine_on(occupancy: Occupancy, points: FloatArray, start: Pose, *, searched: Lattice | None = None) -> Refinement:
+def refine_on(
+    occupancy: Occupancy, points: FloatArray, start: Pose, *, searched: Lattice | None = None
+) -> Refinement:
     """Pull a scan onto the occupied cells around it.
 
     Args:
