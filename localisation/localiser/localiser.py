@@ -3,15 +3,14 @@
 Lost: the whole map is searched for the scan. Ambiguous: all poses that fit are carried on by the robot's motion, each
 is matched against every new scan, and what they score adds up until one stands out. Tracking: the scan is matched
 around the prediction, and both are fused by their information. When the scans of some time disagree with the map, the
-robot is lost. In the plane the scans are also gathered into one cloud until the robot is found: no pose is answered
-that the cloud does not bear out, and where single scans say too little the cloud is what finds it.
+robot is lost.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,8 +23,6 @@ from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.evidence import Evidence, fits, meets
 from localisation.localiser.fusion import carry_on, fuse, move_point
-from localisation.localiser.gathering import CloudMatcher, Gathering
-from localisation.localiser.place import Place
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
 from localisation.matching.global_matcher import GlobalMatcher, thin
@@ -50,6 +47,37 @@ _MOST_DOUBLINGS = 3
 # against a place, so that several must, at several spots, before it is out (p_rand of Thrun, Burgard and Fox,
 # "Probabilistic Robotics", 6.3).
 _LOUDEST = 3.0
+
+
+@dataclass(eq=False)
+class _Place:
+    """A pose that is carried on.
+
+    Attributes:
+        pose: T_map_sensor after the last scan.
+        motion: of the sensor between the last two scans.
+        settled: log-likelihood of the scans that were new evidence, relative to other places.
+        latest: of the last scan, which the next one replaces if the robot has not moved.
+        way: motion of the sensor since ``settled`` last grew, as predicted: matches jump about in a corridor.
+        judged: what the scans said of this place, one for each that was new evidence.
+        match: of the last scan, if anything coincided.
+        tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
+            answered again it must fit as well as any other.
+    """
+
+    pose: Pose
+    way: Pose
+    motion: Pose
+    settled: float = 0.0
+    latest: float = 0.0
+    judged: list[Evidence] = field(default_factory=list)
+    match: Match | None = None
+    tracked: bool = False
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of how likely this place is, but for a constant."""
+        return self.settled + self.latest
 
 
 class Localiser:
@@ -108,7 +136,7 @@ class Localiser:
             raise ArgumentError(f"the map is of dimension {self.dim}; mount and start must be too")
         self.state = TrackState.lost
         self.times_lost = 0
-        self._places: list[Place] = []
+        self._places: list[_Place] = []
         self._complete = True
         self._covariance: FloatArray = np.eye(0)
         self._recent: deque[tuple[Evidence, bool]] = deque(maxlen=self.settings.patience)
@@ -118,14 +146,9 @@ class Localiser:
         self._waited = self._turned = math.inf
         # Searches in a row that found more places than are carried on.
         self._fruitless = 0
-        self._states = states
-        self._clouds: CloudMatcher | None = None
-        self._gathering: Gathering | None = None
-        # Metres to be gathered before the cloud is next asked whether it singles out a place.
-        self._ask_from = 0.0
         if start is not None:
             sensor = start @ self.mount
-            self._places = [Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
+            self._places = [_Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
             self._track_from(self._start_covariance())
 
     def add(self, event: Event) -> Estimate | None:
@@ -150,16 +173,12 @@ class Localiser:
             self._waited += float(np.linalg.norm(motion.translation))
             self._turned += motion.angle
         before = self.state
-        if before is not TrackState.tracking and self.dim == 2:
-            self._gather(event)
         if before is TrackState.tracking:
             self._track(points, motion)
         elif before is TrackState.ambiguous:
             self._compare(points, motion)
         if self.state is TrackState.lost and before is not TrackState.tracking:
             self._search(points)
-        if self.state is not TrackState.tracking and self._gathering is not None and len(points):
-            self._search_for_all(self._gathering, points)
         return self._estimate(event)
 
     # ------------------------------------------------------------------ motion
@@ -201,7 +220,7 @@ class Localiser:
         self._places = self._newcomers(points, 0.0)
         self._settle_on(points)
 
-    def _doubt(self, place: Place, points: FloatArray) -> None:
+    def _doubt(self, place: _Place, points: FloatArray) -> None:
         """Give up a pose that was tracked: it becomes one of the places that compete, if its points meet the map.
 
         Doors open and walls move, and the true place, thrown away for that, would leave a wrong one without a rival.
@@ -216,51 +235,6 @@ class Localiser:
         self._waited = self._turned = 0.0
         self._settle_on(points)
 
-    # ------------------------------------------------------------------ gathered scans
-
-    def _gather(self, scan: Scan) -> None:
-        """Add a scan to those since the robot was last known to be somewhere."""
-        if self._gathering is None:
-            self._gathering = Gathering(self.matcher.lattice, self.settings, self.mount)
-            self._ask_from = 0.0
-        reading = scan.odometry if scan.odometry is not None else self._reading
-        self._gathering.add(replace(scan, odometry=reading))
-
-    def _find_all(self, gathering: Gathering, *, alone: bool) -> Pose | None:
-        """Return T_map_sensor where all that was gathered fits, ``alone``: only if it fits nowhere else."""
-        if self._clouds is None:
-            self._clouds = CloudMatcher(self._states, self.settings)
-        # A quarter more, so that it is new evidence; a search takes as long as some dozens of scans.
-        self._ask_from = max(1.25 * gathering.way, gathering.way + self.settings.step_metres)
-        match = self._clouds.find(gathering.cloud(), alone=alone)
-        return None if match is None else match.pose
-
-    def _search_for_all(self, gathering: Gathering, points: FloatArray) -> None:
-        """Look for all that was gathered in the whole map, when so much more has been seen that it is worth it."""
-        if gathering.way < gathering.due:
-            return
-        gathering.searched()
-        pose = self._find_all(gathering, alone=True)
-        if pose is None:
-            return
-        place = Place(pose, Pose.identity(self.dim), Pose.identity(self.dim))
-        self._judge(place, points, self._match_near(points, pose), True)
-        if place.match is not None and self._agrees(place, loosely=True):
-            place.tracked = True
-            self._places = [place]
-            self._track_from(self._match_covariance(points, place.match))
-
-    def _is_best_of_all(self, place: Place) -> bool:
-        """Tell whether all that was gathered says so too: scans of the same walls do not count anew each time."""
-        gathering = self._gathering
-        if place.tracked or gathering is None:
-            return True
-        if gathering.way < self._ask_from:
-            return False
-        pose = self._find_all(gathering, alone=False)
-        metres, radians = self.settings.apart
-        return pose is not None and is_same_place(pose, place.pose, (2.0 * metres, radians))
-
     # ------------------------------------------------------------------ ambiguous
 
     def _compare(self, points: FloatArray, motion: Pose | None) -> None:
@@ -270,7 +244,7 @@ class Localiser:
                 place.pose = place.pose @ (motion or place.motion)
             return
         s = self.settings
-        kept: list[Place] = []
+        kept: list[_Place] = []
         moved = False
         for place in self._places:
             step = motion or place.motion
@@ -297,7 +271,7 @@ class Localiser:
         self._places = kept
         self._settle_on(points)
 
-    def _newcomers(self, points: FloatArray, settled: float) -> list[Place]:
+    def _newcomers(self, points: FloatArray, settled: float) -> list[_Place]:
         """Search the whole map, and return the places found; nothing yet speaks against them."""
         s = self.settings
         beams = Evidence.of(len(points), 0.0, 0.0).beams
@@ -315,13 +289,13 @@ class Localiser:
         self._complete = found.complete or not found.candidates
         places = []
         for candidate in found.candidates:
-            place = Place(candidate.pose, Pose.identity(self.dim), Pose.identity(self.dim), settled)
+            place = _Place(candidate.pose, Pose.identity(self.dim), Pose.identity(self.dim), settled)
             self._judge(place, points, self._match_near(points, candidate.pose), True)
             if self._agrees(place):
                 places.append(place)
         return places
 
-    def _judge(self, place: Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
+    def _judge(self, place: _Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
         """Take a match into account at a place.
 
         Scans from one spot are all alike: one that is not ``fresh`` replaces the one before it.
@@ -333,10 +307,10 @@ class Localiser:
             place.judged.pop()
         place.judged.append(_evidence(points, match))
 
-    def _last_of(self, place: Place) -> list[Evidence]:
+    def _last_of(self, place: _Place) -> list[Evidence]:
         return place.judged[-self.settings.patience :]
 
-    def _agrees(self, place: Place, *, loosely: bool = False) -> bool:
+    def _agrees(self, place: _Place, *, loosely: bool = False) -> bool:
         """Tell whether the last scans agree with the map at a place, or agree well enough not to drop it."""
         return fits(self._last_of(place), self.settings, tracked=loosely)
 
@@ -359,7 +333,7 @@ class Localiser:
         s = self.settings
         self._weigh(points)
         order = sorted(range(len(self._places)), key=lambda k: (-self._places[k].likelihood, k))
-        kept: list[Place] = []
+        kept: list[_Place] = []
         for place in (self._places[k] for k in order):
             if kept and kept[0].likelihood - place.likelihood > _HOPELESS:
                 break
@@ -378,8 +352,6 @@ class Localiser:
         alone = len(kept) == 1 or best.likelihood - kept[1].likelihood >= math.log(s.odds)
         known = best.tracked or len(best.judged) >= s.scans
         if alone and known and self._complete and best.match is not None and self._agrees(best):
-            if not self._is_best_of_all(best):
-                return
             best.tracked = True
             self._places = [best]
             self._track_from(self._match_covariance(points, best.match))
@@ -388,7 +360,6 @@ class Localiser:
 
     def _track_from(self, covariance: FloatArray) -> None:
         self.state = TrackState.tracking
-        self._gathering = None
         self._covariance = covariance
         self._recent.clear()
 

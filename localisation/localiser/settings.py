@@ -39,8 +39,6 @@ class LocaliserSettings:
         changed: the same for a pose that is tracked, in a map of which much may have changed since.
         sigmas: standard deviations from these shares at which a map is said not to fit (2.33: one scan in a hundred).
         patience: scans over which a tracked pose is judged.
-        gather_step: metres after which all scans since the robot was lost are looked for at once; later ones are rarer.
-        gather_metres: metres of them at the most: by then their odometry has drifted by some cells.
         drift: metres a metre and radians a radian by which odometry errs.
         drift_metres: metres by which it errs in any case.
         drift_radians: radians by which it errs in any case.
@@ -65,8 +63,6 @@ class LocaliserSettings:
     changed: float = 0.25
     sigmas: float = 2.33
     patience: int = 5
-    gather_step: float = 2.0
-    gather_metres: float = 40.0
     drift: float = 0.1
     drift_metres: float = 0.02
     drift_radians: float = 0.01
@@ -77,11 +73,11 @@ class LocaliserSettings:
         Raises:
             ArgumentError: one is out of its range.
         """
-        for name in ("min_range", "search_metres", "step_metres", "step_radians", "sigmas", "drift", "gather_metres"):
+        for name in ("min_range", "search_metres", "step_metres", "step_radians", "sigmas", "drift"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ArgumentError(f"the setting {name} is zero or more, not {getattr(self, name)}")
-        for name in ("hypotheses", "scans", "patience", "odds", "gather_step", "drift_metres", "drift_radians"):
-            least = 0.0 if name.startswith(("drift", "gather")) else 1.0
+        for name in ("hypotheses", "scans", "patience", "odds", "drift_metres", "drift_radians"):
+            least = 0.0 if name.startswith("drift") else 1.0
             if not (getattr(self, name) >= least and getattr(self, name) > 0.0):
                 raise ArgumentError(f"the setting {name} is too small: {getattr(self, name)}")
         for name in ("part", "explained", "contradicted", "changed"):

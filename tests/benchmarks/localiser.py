@@ -36,7 +36,6 @@ from hexmap.maps.state_rule import States
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.localiser.estimate import TrackState
-from localisation.localiser.gathering import surface
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
 from localisation.mapping.fuse_log import readings_at_poses
@@ -110,7 +109,7 @@ def wean_run(cache: Path, number: int) -> Run:
         built = build_loop_closed_map(open_log(log.path), on_pose=note)
         walls = built.map.state().occupied.centres()
         T_hall_run = into_hall(states, walls)
-        residual, _ = cKDTree(surface(states).centres()).query(T_hall_run.apply(walls))
+        residual, _ = cKDTree(states.occupied.centres()).query(T_hall_run.apply(walls))
         every = [e for e in open_log(log.path) if isinstance(e, Scan)]
         assert len(every) == len(poses)
         usable = [k for k, scan in enumerate(every) if is_usable(scan)]
