@@ -109,6 +109,8 @@ def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
     )
     if result.skipped:
         warn(f"{source.path}: {result.skipped} scans have no pose and were left out")
+    if result.missed:
+        warn(f"{source.path}: {result.missed} scans lie nowhere near the ones before them and were left out")
     if result.unmatched:
         warn(f"{source.path}: {result.unmatched} scans lie on no surface and kept the motion predicted for them")
     if result.levelled is not None and result.levelled > math.radians(0.1):

@@ -6,6 +6,7 @@ the others are the submaps' thinned points.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,7 @@ from localisation.lidar_settings import LidarSettings
 from localisation.mapping.loop_closed_map import Phase, silent
 from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, provenance
 from localisation.matching.surfaces import SurfaceMap, first_of_each_cell
+from localisation.odometry.lidar_odometry import LidarOdometry
 from localisation.odometry.sweep import Velocity, deskewed
 from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
@@ -51,6 +53,7 @@ class LidarMappingResult:
         scans: scans fused.
         matched: scans that surfaces held (the first has nothing to be matched against).
         unmatched: scans that kept the motion predicted for them.
+        missed: scans that lay nowhere near the ones before and were left out.
         skipped: scans without a pose, where poses were given.
         mean_share: mean share of a matched scan's points that lay on surfaces; NaN where none was matched.
         metres: length of the path.
@@ -65,6 +68,7 @@ class LidarMappingResult:
     scans: int
     matched: int
     unmatched: int
+    missed: int
     skipped: int
     mean_share: float
     metres: float
@@ -102,17 +106,19 @@ def build_lidar_map(
         MissingDependencyError: kiss-icp or gtsam cannot be loaded.
     """
     settings, phase = settings or LidarSettings(), phase or silent
-    slam = LidarSlam(settings, loops, close=close)
+    velocity = LidarOdometry.first_velocity(settings, list(itertools.islice(log, 2)))
+    slam = LidarSlam(settings, loops, close=close, velocity=velocity)
     unusable = UnusableScans(log)
     used: list[int] = []
     with phase("mapping", log.fraction) as progress:
         for number, scan in enumerate(log):
             try:
-                slam.register(scan)
+                missed = slam.register(scan).missed
             except (BoundsError, TooLargeError) as error:
                 unusable.add(scan, error)
                 continue
-            used.append(number)
+            if not missed:
+                used.append(number)
             progress(slam.scans)
     unusable.check(slam.scans)
     warnings = [*log.warnings, *unusable.warnings]
@@ -150,6 +156,7 @@ def build_lidar_map(
         scans=len(used),
         matched=slam.matched,
         unmatched=slam.unmatched,
+        missed=slam.missed,
         skipped=0,
         mean_share=slam.mean_share,
         metres=fuser.recorder.metres,
@@ -227,7 +234,7 @@ def fuse_lidar_log(
             f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {count} scans of {log.path}"
         )
     return LidarMappingResult(
-        map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, skipped=skipped, mean_share=math.nan,
+        map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, missed=0, skipped=skipped, mean_share=math.nan,
         metres=fuser.recorder.metres, warnings=[*log.warnings, *unusable.warnings], levelled=None,
         poses=Trajectory.from_poses(stamps, placed), slam=None,
     )  # fmt: skip

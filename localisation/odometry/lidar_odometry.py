@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import MissingDependencyError
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.lidar_settings import LidarSettings
@@ -35,18 +37,27 @@ __all__ = ["LidarOdometry", "RegisteredSweep", "import_kiss_icp", "surface_latti
 _VOXELS_A_SCAN = 15.0
 _VOXEL = (0.25, 1.0)
 # A surface's cell in KISS-ICP's voxels: planes are found in it, and points within half of it find them.
-_SURFACE = 0.5
+_SURFACE = 0.75
 # Points of a scan that are drawn: one in so wide a cell, in a surface's.
 _DRAWN = 1.0 / 3.0
 # Points on surfaces at least, as a share, or the scan has met something else.
-_LEAST_SHARE = 0.1
+_LEAST_SHARE = 0.06
 # A scan of which fewer points lie in cells that hold points, or fewer lie on surfaces than this part of what is usual,
 # may have been put where it is not: it is searched for. In a new room half of what is seen is new.
 _DOUBTFUL, _UNUSUAL = 0.6, 0.7
-# How far around the last pose: sparse scans and steps that no constant velocity foretells, metres and radians of tilt.
-_SEARCH_METRES, _SEARCH_TILT = 3.0, math.radians(5.0)
-_SEARCH_POINTS = 400
-_SEARCH_NODES = 200_000
+# How far around the last pose: sparse scans and steps that no constant velocity foretells, metres, and as much again
+# for every scan since that was not found.
+_SEARCH_METRES, _SEARCH_MORE = 2.0, 1.0
+# Upwards as much less as stairs and ramps are wider than they are high.
+_STEEPEST = 0.4
+# In cells of the surfaces, the cells that are searched on: twice as wide, a scan is found sooner, and drawn from there.
+_SEARCHED = 2.0
+_SEARCH_POINTS = 300
+_SEARCH_NODES = 3_000
+# Of the points of a scan that was searched for, the share in cells that hold points at least; and how many scans that
+# lie nowhere are left out before the next one begins anew where it is expected.
+_LEAST_MET = 0.35
+_MOST_MISSED = 5
 # Scans that KISS-ICP's map is made of again where it was lost.
 _KEPT = 10
 
@@ -90,6 +101,7 @@ class RegisteredSweep:
         predicted: the same by KISS-ICP's motion alone.
         points: (P, 3) those of its points that were drawn, metres, in the sensor's frame.
         drawn: what the surfaces said; None where there were none yet.
+        missed: whether it lies nowhere near the last scan, and its pose is that one's: it says nothing of the map.
     """
 
     scan: Scan
@@ -97,11 +109,16 @@ class RegisteredSweep:
     predicted: Pose
     points: FloatArray
     drawn: Drawn | None
+    missed: bool
 
     @property
     def held(self) -> bool:
         """Whether the surfaces hold the scan."""
-        return self.drawn is not None and self.drawn.converged and self.drawn.share >= _LEAST_SHARE
+        return self.drawn is not None and _holds(self.drawn)
+
+
+def _holds(drawn: Drawn) -> bool:
+    return drawn.converged and drawn.share >= _LEAST_SHARE and drawn.met >= _LEAST_MET
 
 
 class LidarOdometry:
@@ -110,12 +127,13 @@ class LidarOdometry:
     Attributes:
         surfaces: what scans are drawn onto; None before the first scan. It may be replaced by another one, with
             :meth:`move_to` where its frame is another.
+        missed: how many scans there have been since the last one that was found.
         searches: scans that were searched for, and
         found: those of them that lay elsewhere than KISS-ICP had put them.
     """
 
-    def __init__(self, settings: LidarSettings) -> None:
-        """Begin at the origin of the map.
+    def __init__(self, settings: LidarSettings, velocity: Velocity | None = None) -> None:
+        """Begin at the origin of the map; ``velocity`` is the sensor's in the first sweep, where it is known.
 
         Raises:
             MissingDependencyError: kiss-icp cannot be loaded.
@@ -127,10 +145,10 @@ class LidarOdometry:
         self._kiss_pose = Pose.identity(3)
         self._pose = Pose.identity(3)
         self._stamp: float | None = None
-        self._velocity: Velocity | None = None
+        self._velocity = velocity
         self._usual: float | None = None
         self._recent: deque[tuple[FloatArray, Pose]] = deque(maxlen=_KEPT)
-        self.searches = self.found = 0
+        self.searches = self.found = self.missed = 0
 
     def _begin(self, points: FloatArray) -> None:
         lattice, voxel = surface_lattice(self.settings.make_lattice(), points)
@@ -154,6 +172,25 @@ class LidarOdometry:
         for points, pose in self._recent:
             self._kiss.local_map.update(points, pose.matrix())
 
+    @classmethod
+    def first_velocity(cls, settings: LidarSettings, scans: Sequence[Scan]) -> Velocity | None:
+        """Return the sensor's velocity at the first of two scans, without which that would stay skewed; None if unknown.
+
+        Points with a time each are wanted, and a second scan not long after.
+        """
+        if len(scans) < 2 or scans[0].times is None:
+            return None
+        velocity = None
+        # The second time the first scan is deskewed already.
+        for _ in range(2):
+            odometry = cls(settings, velocity)
+            for scan in scans[:2]:
+                sweep = odometry.register(scan)
+                assert odometry.surfaces is not None
+                odometry.surfaces.add(sweep.pose.apply(sweep.points))
+            velocity = odometry._velocity
+        return velocity
+
     def in_range(self, points: FloatArray) -> FloatArray:
         """Return the points (N, 3) in the range that is mapped."""
         squared = (points**2).sum(axis=1)
@@ -175,6 +212,7 @@ class LidarOdometry:
         kiss_pose = Pose.from_matrix(self._kiss.last_pose)
         predicted = self._pose @ (self._kiss_pose.inverse() @ kiss_pose)
         self._kiss_pose = kiss_pose
+        before = self._pose
         if scan.times is not None:
             # Now that the motion is known, once more by this one.
             moved = replace(scan, points=deskewed(scan, self._since(scan.stamp, predicted)), times=None)
@@ -184,18 +222,26 @@ class LidarOdometry:
         drawn = self.surfaces.draw(thin, predicted) if len(self.surfaces) else None
         if drawn is not None and self._is_doubtful(drawn):
             drawn = self._search(thin, drawn)
-        held = drawn is not None and drawn.converged and drawn.share >= _LEAST_SHARE
+        held = drawn is not None and _holds(drawn)
         pose = drawn.pose if drawn is not None and held else predicted
+        self.missed = 0 if held or drawn is None else self.missed + 1
+        if self.missed > _MOST_MISSED:
+            self.missed = 0
         if drawn is not None and held:
             self._usual = drawn.share if self._usual is None else 0.9 * self._usual + 0.1 * drawn.share
         if scan.times is not None:
             moved = replace(scan, points=deskewed(scan, self._since(scan.stamp, pose)), times=None)
         self._velocity = self._since(scan.stamp, pose) or self._velocity
         self._pose, self._stamp = pose, scan.stamp
+        if self.missed:
+            # KISS-ICP has put it somewhere: its map is made anew without it.
+            self._pose = before
+            self._begin_kiss_icp()
+            return RegisteredSweep(moved, before, predicted, thin, drawn, self.missed > 0)
         self._recent.append((thin, pose))
         if math.dist((predicted.inverse() @ pose).translation, (0.0, 0.0, 0.0)) > self._voxel:
             self._begin_kiss_icp()
-        return RegisteredSweep(moved, pose, predicted, thin, drawn)
+        return RegisteredSweep(moved, pose, predicted, thin, drawn, False)
 
     def _is_doubtful(self, drawn: Drawn) -> bool:
         """Tell whether a scan may lie somewhere else than where it was drawn."""
@@ -206,18 +252,21 @@ class LidarOdometry:
         """Search for a scan around the last pose; return what it is drawn to there, where that fits better."""
         assert self.surfaces is not None
         self.searches += 1
-        matcher = GlobalMatcher(OccupancyPyramid(coincidence(self.surfaces.cells())))
-        # With the attitude that it had last, so that what is left to find is yaw and a little tilt.
+        searched = self.surfaces.lattice.scaled(_SEARCHED)
+        centres = self.surfaces.lattice.centres(self.surfaces.cells().index)
+        matcher = GlobalMatcher(OccupancyPyramid(coincidence(VoxelList.from_points(centres, searched))))
+        # With the attitude that it had last, so that what is left to find is yaw.
         level = Pose(self._pose.rotation, np.zeros(3))
         centre = self._pose.translation
+        sides = (_SEARCH_METRES + _SEARCH_MORE * self.missed) * np.array([1.0, 1.0, _STEEPEST])
         match = matcher.match(
-            level.apply(spread_points(thin, self.surfaces.lattice, _SEARCH_POINTS)),
-            SearchRegion(centre - _SEARCH_METRES, centre + _SEARCH_METRES, tilt=_SEARCH_TILT),
+            level.apply(spread_points(thin, searched, _SEARCH_POINTS)),
+            SearchRegion(centre - sides, centre + sides), least=_LEAST_SHARE,
             runner_up=None, refine=False, beams=False, information=False, node_limit=_SEARCH_NODES,
         )  # fmt: skip
         if match is None:
             return drawn
-        there = self.surfaces.draw(thin, match.pose @ level, farthest=2.0)
+        there = self.surfaces.draw(thin, match.pose @ level, farthest=_SEARCHED)
         if there.converged and (there.share > drawn.share or not drawn.converged):
             self.found += 1
             return there

@@ -34,6 +34,8 @@ __all__ = ["LidarLoopCloser", "drawn_covariance"]
 
 # Nodes that follow one another overlap anyway.
 _NEIGHBOURS = 3
+# In what most of a submap's points lie within: farther apart two see little of the same surfaces from the same side.
+_SIGHT = 0.5
 # In cells of the map: what the graph knows so well a loop does not tell better.
 _KNOWN = 0.5
 # In cells of the surfaces: so near a scan is drawn onto them without a search.
@@ -44,11 +46,13 @@ _REVERSE = 0.2
 _LEAST = 0.3
 # Variance of what surfaces say, in what it were if points were independent: thousands lie on some hundred planes, each
 # as bent and as wrong as its wall. Fitted on simulated drives (``python -m tests.benchmarks.lidar simulated``).
-_DEPENDENT = 60.0
-# What no number of points makes better: metres and radians.
-_FLOOR = (0.003, 0.0003)
+_DEPENDENT = 120.0
+# What no number of points makes better: metres and radians. A sweep is deskewed by one velocity, and a robot sways.
+_FLOOR = (0.005, 0.002)
 # The widest tilt that is searched, radians.
 _MOST_TILT = math.radians(5.0)
+# Blocks and poses that one search may take: in space each is a thousand times the work of one in the plane.
+_NODES = 3_000
 
 
 def drawn_covariance(drawn: Drawn) -> FloatArray:
@@ -110,7 +114,7 @@ class LidarLoopCloser:
         slack = settings.sigmas * math.sqrt(max(float(np.linalg.eigvalsh(spread[:3, :3])[-1]), 0.0))
         apart = np.linalg.norm(poses[: last + 1, 9:] - poses[j, 9:], axis=1)
         reach = np.array([min(s.reach, self._submaps[j].reach) for s in self._submaps[: last + 1]])
-        near = np.flatnonzero(apart < np.maximum(reach, settings.node_metres) + slack)
+        near = np.flatnonzero(apart < np.maximum(_SIGHT * reach, settings.node_metres) + slack)
         visits = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
         chosen = [int(v[np.argmin(apart[v])]) for v in visits if len(v)]
         if not chosen:
@@ -265,8 +269,8 @@ class LidarLoopCloser:
         yaw = math.atan2(expected.rotation[1, 0], expected.rotation[0, 0])
         reach = max(self._submaps[candidate.i].reach, cell)
         tilt = min(sigmas * radians, _MOST_TILT)
-        # A tilt that moves no point by half a cell is none.
-        tilt = tilt if tilt * reach > 0.5 * cell else 0.0
+        # Drawing takes up a tilt that moves points by a cell.
+        tilt = tilt if tilt * reach > cell else 0.0
         matcher = GlobalMatcher(old.pyramid, _box(old.pyramid.lattice, low, high))
         return matcher.match(
             new.searched,
@@ -277,7 +281,7 @@ class LidarLoopCloser:
             refine=False,
             beams=False,
             information=False,
-            node_limit=self.settings.node_limit,
+            node_limit=_NODES,
         )
 
 

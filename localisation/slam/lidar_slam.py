@@ -19,6 +19,7 @@ from hexmap.poses.scan import Scan
 from localisation.lidar_settings import LidarSettings
 from localisation.matching.surfaces import SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry, RegisteredSweep
+from localisation.odometry.sweep import Velocity
 from localisation.slam import spatial
 from localisation.slam.lidar_loops import LidarLoopCloser, drawn_covariance
 from localisation.slam.lidar_submap import LidarSubmap, Rays, SubmapShelf
@@ -73,25 +74,39 @@ class LidarSlam:
         submaps: the finished submaps.
         closer: what looks for loops, with its records; None before the first sweep.
         matched: sweeps that surfaces held, and
-        unmatched: those that kept KISS-ICP's motion.
+        unmatched: those that kept KISS-ICP's motion;
+        missed: those that lay nowhere near and are left out.
         shares: sum of the shares of points that lay on surfaces.
     """
 
-    def __init__(self, settings: LidarSettings, loops: LoopSettings | None = None, *, close: bool = True) -> None:
-        """Begin with an empty map; ``close``: whether loops are looked for.
+    def __init__(
+        self,
+        settings: LidarSettings,
+        loops: LoopSettings | None = None,
+        *,
+        close: bool = True,
+        velocity: Velocity | None = None,
+    ) -> None:
+        """Begin with an empty map.
+
+        Args:
+            settings: of the map.
+            loops: how loops are looked for.
+            close: whether they are.
+            velocity: of the sensor in the first sweep, where it is known.
 
         Raises:
             MissingDependencyError: gtsam or kiss-icp cannot be loaded.
         """
         import_gtsam()
         self.settings, self.loops, self._close = settings, loops or LoopSettings(), close
-        self._odometry = LidarOdometry(settings)
+        self._odometry = LidarOdometry(settings, velocity)
         self._fine = settings.make_lattice()
         self._thin = self._fine.scaled(_THIN)
         self.graph = PoseGraph(spatial.SPACE)
         self.submaps: list[LidarSubmap] = []
         self.closer: LidarLoopCloser | None = None
-        self.matched = self.unmatched = 0
+        self.matched = self.unmatched = self.missed = 0
         self.shares = 0.0
         self._stamps: list[float] = []
         # Of each sweep the node before it and its pose as seen from there.
@@ -121,6 +136,10 @@ class LidarSlam:
             BoundsError: a point is out of range.
         """
         sweep = self._odometry.register(scan)
+        if sweep.missed:
+            self.missed += 1
+            self._covariance += np.diag(np.repeat(np.square(_LOST), 3))
+            return sweep
         number = len(self._stamps)
         if number == 0:
             self._node, self._last = sweep.pose, sweep.pose
@@ -151,6 +170,7 @@ class LidarSlam:
         self._metres += float(np.linalg.norm(step.translation))
         self._radians += float(angles(step.rotation[None])[0])
         if not sweep.held:
+            # KISS-ICP's word alone.
             self._covariance += np.diag(np.repeat(np.square(_LOST), 3))
 
     def _is_due(self, number: int) -> bool:
