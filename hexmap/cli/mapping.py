@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hexmap.maps.map import Map
     from localisation.evaluation import ErrorStatistics
 
+
 def simulate(
     building: Annotated[str, typer.Argument(help="office, castle or room.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The CARMEN log to write (.gz: compressed).")],
@@ -37,6 +38,7 @@ def simulate(
     )
     if truth is not None:
         wrote(truth, "true poses, one for each reading")
+
 
 def merge(
     maps: Annotated[list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame.")],
