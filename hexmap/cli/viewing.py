@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, say, warn, wrote
 
 if TYPE_CHECKING:
+    from hexmap.maps.map import Map
     from hexmap.maps.state_rule import StateRule
 
 MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
@@ -148,11 +150,19 @@ def lattices() -> None:
 def export(
     map: MapFile,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help=".yaml (ROS map_server, with .pgm), .csv or .ply (points).")
+        Path,
+        typer.Option(
+            "--output", "-o", help=".yaml (ROS map_server, with .pgm), .bt (OctoMap), .csv, .ply or .pcd (points)."
+        ),
     ],
     level: LevelOption = 0,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
+    height: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Of a map in space: the heights, m, whose cells go into a ROS map.", metavar="LOW HIGH"),
+    ] = None,
+    crop: clouds.Crop = None,
 ) -> None:
     """Write a map in a format that other programs read."""
     from hexmap.io.exports import export as export_map
@@ -160,9 +170,31 @@ def export(
 
     image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
     check_outputs({"--output": output, "the image of --output": image}, (map,))
-    loaded = load_map(map)
-    for path in export_map(loaded, output, level=level, rule=rule_of(min_hits, min_ratio, loaded.sources())):
+    loaded = cropped(load_map(map), crop, map)
+    rule = rule_of(min_hits, min_ratio, loaded.sources())
+    for path in export_map(loaded, output, level=level, rule=rule, heights=height, report=say):
         wrote(path, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
+
+
+def cropped(map: Map, crop: str | None, path: Path) -> Map:
+    """Return the part of a map in the box that ``--crop`` names, all of it where it names none.
+
+    Raises:
+        ArgumentError: it is no box of the map's dimension, or no cell lies in it.
+    """
+    from hexmap.base.errors import ArgumentError
+
+    low, high = clouds.corners(crop)
+    if low is None or high is None:
+        return map
+    if len(low) != map.lattice.dim:
+        raise ArgumentError(
+            f"{path}: the map is of dimension {map.lattice.dim}; --crop takes {2 * map.lattice.dim} numbers"
+        )
+    part = map.crop(low, high)
+    if part.bounds() is None:
+        raise ArgumentError(f"{path}: no cell of the map lies in the box {crop}")
+    return part
 
 
 def rule_of(min_hits: int | None, min_ratio: float | None, sources: list[dict[str, object]]) -> StateRule:

@@ -89,7 +89,7 @@ def test_a_slice_is_exact_where_cubes_are_cut(tmp_path: Path) -> None:
 def test_what_is_no_slice(tmp_path: Path) -> None:
     cubes, flat = Lattice.named("Z3", 1.0), Lattice.named("Z2", 1.0)
     states = States(VoxelList.from_cells([[0, 0, 0]], cubes), VoxelList.empty(cubes))
-    with pytest.raises(ArgumentError, match="as .png, not as .svg"):
+    with pytest.raises(ArgumentError, match=r"as \.png, not as \.svg"):
         draw_slice(states, 0.0, tmp_path / "a.svg")
     with pytest.raises(ArgumentError, match="lattice of the plane"):
         draw_slice(States(VoxelList.empty(flat), VoxelList.empty(flat)), 0.0, tmp_path / "a.png")

@@ -101,7 +101,7 @@ def add_line_legend(sheet: Any, right: float, row: float) -> None:
 
 
 def _dense(positions: FloatArray, step: float) -> FloatArray:
-    """Return points (K, 3) of the line through ``positions``, ``step`` metres apart or less if they are not too many."""
+    """Return points (K, 3) of the line through ``positions``, at most ``step`` metres apart but for very long lines."""
     if len(positions) < 2:
         return positions
     lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
