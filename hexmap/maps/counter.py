@@ -23,7 +23,7 @@ __all__ = ["HITS", "PASSES", "CellCounter", "Follower"]
 HITS, PASSES = 0, 1
 _BITS = {2: 4, 3: 3}  # tiles of 16 x 16 or 8 x 8 x 8 cells
 _EMPTY = -(2**63)
-_TILES = 64
+_TILES, _MANY_TILES = 64, 4096
 _JOURNAL = 4096
 
 Follower: TypeAlias = Callable[[IntArray, IntArray], None]
@@ -95,17 +95,18 @@ class CellCounter:
         rays = len(ends)
         start = np.ascontiguousarray(origin[None])
         tables, faces = self.lattice.quantiser_tables, self.lattice.ray_tables
+        bad, prepared = kernels.prepare(tables, faces, start, ends)
+        total = max(int(prepared.room[:hits].sum()), int(prepared.room[hits:].sum()))
+        if bad or total > MAX_CELLS:
+            # The same rays once more, for the sake of the message.
+            for some in (ends[:hits], ends[hits:]):
+                traverse(self.lattice, np.broadcast_to(origin, some.shape), some)
+            raise TooLargeError(f"rays of up to {total:,} cells are more than {MAX_CELLS:,}")
         chunk = row = 0
         while chunk < rays:
-            bad, total, chunk, row, self._used, self._noted = kernels.fuse(
-                self._arrays, tables, faces, start, ends, hits, chunk, row, self._used, self._noted, self._most,
-                MAX_CELLS,
-            )  # fmt: skip
-            if bad or total:
-                # The same rays once more, for the sake of the message.
-                for some in (ends[:hits], ends[hits:]):
-                    traverse(self.lattice, np.broadcast_to(origin, some.shape), some)
-                raise TooLargeError(f"rays of up to {total:,} cells are more than {MAX_CELLS:,}")
+            chunk, row, self._used, self._noted = kernels.fuse(
+                self._arrays, prepared, faces, hits, chunk, row, self._used, self._noted, self._most
+            )
             if chunk < rays:
                 self._make_room()
         self._tell()
@@ -129,8 +130,9 @@ class CellCounter:
             journal[: self._noted] = a.journal[: self._noted]
             self._arrays = a._replace(journal=journal)
         elif self._used >= len(a.tiles):
-            # An array of this size grows in place, without a copy; an eighth more keeps the spare memory small.
-            count = self._used + max(_TILES, self._used // 8)
+            # A small array doubles; a large one grows in place, without a copy, and an eighth more keeps the spare
+            # memory small.
+            count = 2 * self._used if self._used < _MANY_TILES else self._used + self._used // 8
             a.tiles.resize((count, *a.tiles.shape[1:]), refcheck=False)
             a.corners.resize((count, 3), refcheck=False)
         elif self._used >= len(a.table) // 2:

@@ -121,7 +121,7 @@ def test_an_octree_is_pruned_and_holds_every_voxel_once() -> None:
 def test_what_an_octree_cannot_hold(tmp_path: Path) -> None:
     lattice = Lattice.named("D3", 0.1)
     far = States(VoxelList.from_points([[4000.0, 0.0, 0.0]], lattice), VoxelList.empty(lattice))
-    with pytest.raises(BoundsError, match=r"far\.bt: an OctoMap with voxels of 0\.1 m ends 3276\.8 m .* at 3999\.9, 0, 0 m"):
+    with pytest.raises(BoundsError, match=r"far\.bt: an OctoMap with voxels of 0\.1 m ends 3276\.8 m .* 3999\.9"):
         export_octomap(far, tmp_path / "far.bt")
     flat = VoxelList.from_points([[0.0, 0.0]], Lattice.named("A2", 0.1))
     with pytest.raises(ArgumentError, match="an OctoMap is in space"):
