@@ -139,6 +139,7 @@ def traverse(start, end, start_offset, first, last, tables, room, out, ends):
 # ---------------------------------------------------------------------- many rays at once, in space
 
 LANES = 16
+ONE = np.uint64(1)
 _FACES = 8  # that a ray may cross, filled up: no cell in space has more than 14
 # Times of crossings, 0 to 1 along a ray, that differ by less are left to the exact walk.
 _CLOSE = 1e-12
@@ -146,7 +147,7 @@ _NEVER = 1e300
 
 
 class SignTables(NamedTuple):
-    """What a step across a face adds, by the pattern of the signs of a ray: bit j is set where it nears ``pairs[j, 1]``.
+    """What a step across a face adds, by the signs of a ray: bit j is set where it nears the face ``pairs[j, 1]``.
 
     Attributes:
         filled: (2^P,) uint8, whether a pattern was met.
@@ -227,11 +228,13 @@ def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, 
     times = np.empty((LANES, _FACES))
     # The bits of positive numbers are ordered as the numbers are.
     bits = times.view(np.int64)
-    pattern = np.empty(LANES, np.int64)
+    # Unsigned where it is an index: for a signed one the compiler asks each time whether it counts from the end.
+    pattern = np.empty(LANES, np.uint64)
     key = np.empty(LANES, np.int64)
-    at = np.empty(LANES, np.int64)
+    at = np.empty(LANES, np.uint64)
+    limit = np.empty(LANES, np.uint64)
     entered = np.empty(LANES)
-    active = np.empty(LANES, np.int64)
+    active = np.empty(LANES, np.uint64)
     count = 0
     for r in range(rays):
         mask = np.int64(0)
@@ -261,6 +264,7 @@ def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, 
             _fill_signs(signs, mask, pairs, tables)
         key[r] = first[r]
         at[r] = begins[r]
+        limit[r] = begins[r] + room[r] - 1
         entered[r] = -1.0
         if first[r] == last[r]:
             out[at[r]] = last[r]
@@ -268,7 +272,7 @@ def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, 
         else:
             active[count] = r
             count += 1
-    few = known <= 4
+    few, many = known <= 4, known > 6
     while count > 0:
         i = 0
         while i < count:
@@ -289,37 +293,43 @@ def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, 
             if not few:
                 times[r, 4] = gaps[r, 4] * inverse[r, 4]
                 times[r, 5] = gaps[r, 5] * inverse[r, 5]
-                times[r, 6] = gaps[r, 6] * inverse[r, 6]
                 t0 = (bits[r, 4] & -8) | 4
                 t1 = (bits[r, 5] & -8) | 5
-                t2 = (bits[r, 6] & -8) | 6
                 a0 = t0 if t0 < t1 else t1
                 b0 = t1 if t0 < t1 else t0
-                low = a0 if a0 < t2 else t2
-                high = t2 if a0 < t2 else a0
-                best, second = _least_two(best, second, low, high if high < b0 else b0)
-            face = best & 7
+                best, second = _least_two(best, second, a0, b0)
+                if many:
+                    times[r, 6] = gaps[r, 6] * inverse[r, 6]
+                    t2 = (bits[r, 6] & -8) | 6
+                    high = t2 if best < t2 else best
+                    best = best if best < t2 else t2
+                    second = second if second < high else high
+            face = np.uint64(best & 7)
             bits[r, 7] = second
             t = times[r, face]
             # Less than zero, later than the end, together with another face or no later than the cell was entered.
             clear = (best >= 0) & (t < 1.0 - _CLOSE) & (t > entered[r] + _CLOSE) & (times[r, 7] - t > _CLOSE)
-            if not clear or at[r] - begins[r] >= room[r] - 1:
+            w = at[r]
+            if not clear or w >= limit[r]:
                 stops[r] = -1
                 count -= 1
                 active[i] = active[count]
                 continue
             entered[r] = t
-            out[at[r]] = key[r]
-            at[r] += 1
-            key[r] += deltas[pattern[r], face]
-            if key[r] == last[r]:
-                out[at[r]] = last[r]
-                stops[r] = at[r] + 1
+            mask = pattern[r]
+            there = key[r]
+            out[w] = there
+            w += ONE
+            at[r] = w
+            there += deltas[mask, face]
+            key[r] = there
+            if there == last[r]:
+                out[w] = there
+                stops[r] = w + ONE
                 count -= 1
                 active[i] = active[count]
                 continue
             # Step across the face, as in :func:`traverse`.
-            mask = pattern[r]
             g0 = gaps[r, 0] + products[mask, face, 0]
             g1 = gaps[r, 1] + products[mask, face, 1]
             g2 = gaps[r, 2] + products[mask, face, 2]
@@ -331,10 +341,10 @@ def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, 
             if not few:
                 g0 = gaps[r, 4] + products[mask, face, 4]
                 g1 = gaps[r, 5] + products[mask, face, 5]
-                g2 = gaps[r, 6] + products[mask, face, 6]
                 gaps[r, 4] = g0
                 gaps[r, 5] = g1
-                gaps[r, 6] = g2
+                if many:
+                    gaps[r, 6] = gaps[r, 6] + products[mask, face, 6]
             i += 1
 
 

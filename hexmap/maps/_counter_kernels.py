@@ -50,11 +50,12 @@ class TileArrays(NamedTuple):
 @njit(cache=True, nogil=True)
 def slot(table, key):
     """Return the slot of ``key`` in the table, or the free one where it belongs."""
-    # Fibonacci hashing: the product spreads neighbouring tiles, whose keys differ in a few low bits, over the table.
+    # Fibonacci hashing: the product spreads neighbouring tiles, whose keys differ in a few bits of each field, over the
+    # table. Its high bits are taken: the lower ones know nothing of the first coordinate.
     # At most half of the slots are taken, so that the walk to a free one is short and always ends.
     mask = np.uint64(table.shape[0] - 1)
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    at = (h >> np.uint64(20)) & mask
+    at = (h >> np.uint64(40)) & mask
     while table[at] != key and table[at] != EMPTY:
         at = (at + np.uint64(1)) & mask
     return at
@@ -143,9 +144,13 @@ def add_keys(arrays, keys, begin, stop, channel, used, noted, most):
     room = min(tiles.shape[0], table.shape[0] // 2)
     # All bits of a key but the lowest three of each field: which tile it is in.
     outer = ~((np.int64(7) << 42) | (np.int64(7) << 21) | np.int64(7))
+    # Flat, with unsigned places: the compiler then neither multiplies nor asks whether an index counts from the end.
+    flat = tiles.reshape(-1)
+    following = journal.shape[0] > 0
     last_tile = EMPTY
     last = np.int64(-1)
-    for i in range(begin, stop):
+    base = np.uint64(0)
+    for i in range(np.uint64(begin), np.uint64(stop)):
         packed = keys[i]
         inner = ((packed >> 36) & 0x1C0) | ((packed >> 18) & 0x38) | (packed & 7)
         if packed & outer != last_tile:
@@ -157,7 +162,7 @@ def add_keys(arrays, keys, begin, stop, channel, used, noted, most):
             at = slot(table, key)
             if table[at] == EMPTY:
                 if used >= room:
-                    return i, used, noted
+                    return np.int64(i), used, noted
                 table[at] = key
                 numbers[at] = used
                 corners[used, 0] = ta
@@ -165,15 +170,18 @@ def add_keys(arrays, keys, begin, stop, channel, used, noted, most):
                 corners[used, 2] = tc
                 used += 1
             last = numbers[at]
+            base = np.uint64(2 * cells * last + channel)
             last_tile = packed & outer
-        if tiles[last, inner, channel] >= most:
-            return i, used, noted
-        if journal.shape[0] > 0 and (channel == 0 or tiles[last, inner, 0] > 0):
+        place = base + np.uint64(inner + inner)
+        before = flat[place]
+        if before >= most:
+            return np.int64(i), used, noted
+        if following and (channel == 0 or tiles[last, inner, 0] > 0):
             if noted >= journal.shape[0]:
-                return i, used, noted
+                return np.int64(i), used, noted
             journal[noted] = last * cells + inner
             noted += 1
-        tiles[last, inner, channel] += 1
+        flat[place] = before + 1
     return stop, used, noted
 
 
@@ -346,9 +354,7 @@ def _count_in_space(arrays, rays, faces, largest, hits, chunk, row, used, noted,
             i = r - chunk
             begins[i] = total
             total += rays.room[r]
-            first[i] = cell_key(
-                np.int64(rays.first[r, 0]), np.int64(rays.first[r, 1]), np.int64(rays.first[r, 2]), 3
-            )
+            first[i] = cell_key(np.int64(rays.first[r, 0]), np.int64(rays.first[r, 1]), np.int64(rays.first[r, 2]), 3)
             last[i] = cell_key(np.int64(rays.last[r, 0]), np.int64(rays.last[r, 1]), np.int64(rays.last[r, 2]), 3)
         walk_keys(
             rays.start[chunk:stop], rays.end[chunk:stop], rays.offset[chunk:stop], first, last, faces, pairs, signs,

@@ -23,7 +23,7 @@ __all__ = ["HITS", "PASSES", "CellCounter", "Follower"]
 HITS, PASSES = 0, 1
 _BITS = {2: 4, 3: 3}  # tiles of 16 x 16 or 8 x 8 x 8 cells
 _EMPTY = -(2**63)
-_TILES, _MANY_TILES = 64, 4096
+_TILES, _MANY_TILES = 64, 1 << 15
 _JOURNAL = 4096
 
 Follower: TypeAlias = Callable[[IntArray, IntArray], None]
@@ -54,8 +54,10 @@ class CellCounter:
         self._followers: list[Follower] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out those who follow: what they hold is made anew when they follow again."""
-        return {**self.__dict__, "_followers": []}
+        """Leave out spare tiles and those who follow: what they hold is made anew when they follow again."""
+        a = self._arrays
+        arrays = a._replace(tiles=a.tiles[: self._used], corners=a.corners[: self._used])
+        return {**self.__dict__, "_arrays": arrays, "_followers": []}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Own the arrays, which otherwise cannot grow in place."""
@@ -130,11 +132,17 @@ class CellCounter:
             journal[: self._noted] = a.journal[: self._noted]
             self._arrays = a._replace(journal=journal)
         elif self._used >= len(a.tiles):
-            # A small array doubles; a large one grows in place, without a copy, and an eighth more keeps the spare
-            # memory small.
-            count = 2 * self._used if self._used < _MANY_TILES else self._used + self._used // 8
-            a.tiles.resize((count, *a.tiles.shape[1:]), refcheck=False)
-            a.corners.resize((count, 3), refcheck=False)
+            if self._used < _MANY_TILES:
+                # Memory that is asked for as zeros costs nothing before it is used, and comes in large pages.
+                tiles = np.zeros((4 * self._used, *a.tiles.shape[1:]), a.tiles.dtype)
+                corners = np.zeros((4 * self._used, 3), np.int64)
+                tiles[: self._used], corners[: self._used] = a.tiles, a.corners
+                self._arrays = a._replace(tiles=tiles, corners=corners)
+            else:
+                # An array of this size grows in place, without a copy; an eighth more keeps the spare memory small.
+                count = self._used + self._used // 8
+                a.tiles.resize((count, *a.tiles.shape[1:]), refcheck=False)
+                a.corners.resize((count, 3), refcheck=False)
         elif self._used >= len(a.table) // 2:
             table = np.full(2 * len(a.table), _EMPTY, np.int64)
             numbers = np.zeros(2 * len(a.table), np.int64)
