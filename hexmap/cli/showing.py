@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hexmap.poses.trajectory import Trajectory
 
 _NO_OFFSET = (0.0, 0.0, 0.0)
+_DRAWINGS = (".svg", ".pdf")  # that hold shapes, not pixels: they show a map in space from above
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,7 @@ def show(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="Picture (.png, in the plane also .svg, .pdf); in space the mesh: .ply, .glb."
-        ),
+        typer.Option("--output", "-o", help="Picture (.png, .svg, .pdf); in space the mesh: .ply, .glb."),
     ] = None,
     level: LevelOption = 0,
     trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
@@ -105,7 +104,8 @@ def show(
             source, lattice, size, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range,
             crop=crop, unique=unique, sample=sample, seed=seed,
         )  # fmt: skip
-    if scene.states.occupied.lattice.dim == 2:
+    drawn = output is not None and output.suffix.lower() in _DRAWINGS and scene.offset == _NO_OFFSET
+    if scene.states.occupied.lattice.dim == 2 or (drawn and slice is None and not viewer):
         _show_flat(source, scene, output, poses, slice, viewer)
     elif slice is not None:
         _show_slice(scene, slice, output, poses, viewer)
@@ -173,7 +173,7 @@ def _points(source: Path, lattice: str | None, size: float | None, **reading: An
 def _show_flat(
     source: Path, scene: _Scene, output: Path | None, poses: Trajectory | None, height: float | None, viewer: bool
 ) -> None:
-    """Draw a map in the plane."""
+    """Draw a map in the plane, or one in space from above."""
     from hexmap.base.errors import ArgumentError
     from hexmap.drawing.map_drawing import draw_states
 
