@@ -196,6 +196,68 @@ def _least_two(a0, b0, a1, b1):
     return low, high if high < next_ else next_
 
 
+class Lanes(NamedTuple):
+    """Where up to ``LANES`` rays are on their way; indices are unsigned, as signed ones may count from the end.
+
+    Attributes:
+        gaps: (L, 8) float64 how far off the faces ahead are.
+        inverse: (L, 8) float64 one over how fast the ray nears them.
+        pattern: (L,) uint64 the signs of the ray.
+        key: (L,) int64 of the cell it is in.
+        at: (L,) uint64 where the next key is written.
+        limit: (L,) uint64 where the last one may be.
+        entered: (L,) float64 when it entered the cell.
+        active: (L,) uint64 the rays that go on, in the first entries.
+    """
+
+    gaps: np.ndarray
+    inverse: np.ndarray
+    pattern: np.ndarray
+    key: np.ndarray
+    at: np.ndarray
+    limit: np.ndarray
+    entered: np.ndarray
+    active: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def _set_out(start, end, offset, first, tables, pairs, signs, room, begins):
+    """Return the :class:`Lanes` of rays at their starts; the arguments are those of :func:`walk_keys`."""
+    planes, half = tables.planes, tables.half
+    lanes = Lanes(
+        np.full((LANES, _FACES), _NEVER), np.ones((LANES, _FACES)), np.empty(LANES, np.uint64),
+        np.empty(LANES, np.int64), np.empty(LANES, np.uint64), np.empty(LANES, np.uint64), np.full(LANES, -1.0),
+        np.empty(LANES, np.uint64),
+    )  # fmt: skip
+    for r in range(start.shape[0]):
+        mask = np.int64(0)
+        # Of each two opposite faces the ray nears one; which ones these are is the pattern of its signs.
+        for j in range(pairs.shape[0]):
+            f = pairs[j, 0]
+            rate = 0.0
+            for i in range(3):
+                rate += (end[r, i] - start[r, i]) * planes[f, i]
+            if rate < 0.0:
+                mask |= np.int64(1) << j
+                f = pairs[j, 1]
+                rate = 0.0
+                for i in range(3):
+                    rate += (end[r, i] - start[r, i]) * planes[f, i]
+            if rate > 0.0:
+                gap = half[f]
+                for i in range(3):
+                    gap -= offset[r, i] * planes[f, i]
+                lanes.gaps[r, j] = gap
+                lanes.inverse[r, j] = 1.0 / rate
+        lanes.pattern[r] = mask
+        if signs.filled[mask] == 0:
+            _fill_signs(signs, mask, pairs, tables)
+        lanes.key[r] = first[r]
+        lanes.at[r] = begins[r]
+        lanes.limit[r] = begins[r] + room[r] - 1
+    return lanes
+
+
 @njit(cache=True, nogil=True)
 def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, begins, stops):
     """Write the packed keys of the cells of up to ``LANES`` rays in space, all at once.
@@ -219,56 +281,18 @@ def walk_keys(start, end, offset, first, last, tables, pairs, signs, room, out, 
         begins: (L,) where the keys of each ray begin.
         stops: (L,) where they end, or -1 where the ray is left to :func:`traverse`.
     """
-    planes, half = tables.planes, tables.half
-    deltas, products = signs.deltas, signs.products
-    rays = start.shape[0]
-    known = pairs.shape[0]
-    gaps = np.empty((LANES, _FACES))
-    inverse = np.empty((LANES, _FACES))
+    deltas, products, known = signs.deltas, signs.products, pairs.shape[0]
+    lanes = _set_out(start, end, offset, first, tables, pairs, signs, room, begins)
+    gaps, inverse, pattern, key = lanes.gaps, lanes.inverse, lanes.pattern, lanes.key
+    at, limit, entered, active = lanes.at, lanes.limit, lanes.entered, lanes.active
     times = np.empty((LANES, _FACES))
     # The bits of positive numbers are ordered as the numbers are.
     bits = times.view(np.int64)
-    # Unsigned where it is an index: for a signed one the compiler asks each time whether it counts from the end.
-    pattern = np.empty(LANES, np.uint64)
-    key = np.empty(LANES, np.int64)
-    at = np.empty(LANES, np.uint64)
-    limit = np.empty(LANES, np.uint64)
-    entered = np.empty(LANES)
-    active = np.empty(LANES, np.uint64)
     count = 0
-    for r in range(rays):
-        mask = np.int64(0)
-        # Of each two opposite faces the ray nears one; which ones these are is the pattern of its signs.
-        for j in range(_FACES):
-            gaps[r, j] = _NEVER
-            inverse[r, j] = 1.0
-        for j in range(known):
-            f = pairs[j, 0]
-            rate = 0.0
-            for i in range(3):
-                rate += (end[r, i] - start[r, i]) * planes[f, i]
-            if rate < 0.0:
-                mask |= np.int64(1) << j
-                f = pairs[j, 1]
-                rate = 0.0
-                for i in range(3):
-                    rate += (end[r, i] - start[r, i]) * planes[f, i]
-            if rate > 0.0:
-                gap = half[f]
-                for i in range(3):
-                    gap -= offset[r, i] * planes[f, i]
-                gaps[r, j] = gap
-                inverse[r, j] = 1.0 / rate
-        pattern[r] = mask
-        if signs.filled[mask] == 0:
-            _fill_signs(signs, mask, pairs, tables)
-        key[r] = first[r]
-        at[r] = begins[r]
-        limit[r] = begins[r] + room[r] - 1
-        entered[r] = -1.0
+    for r in range(start.shape[0]):
         if first[r] == last[r]:
-            out[at[r]] = last[r]
-            stops[r] = at[r] + 1
+            out[begins[r]] = last[r]
+            stops[r] = begins[r] + 1
         else:
             active[count] = r
             count += 1

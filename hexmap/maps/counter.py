@@ -134,8 +134,9 @@ class CellCounter:
         elif self._used >= len(a.tiles):
             if self._used < _MANY_TILES:
                 # Memory that is asked for as zeros costs nothing before it is used, and comes in large pages.
-                tiles = np.zeros((4 * self._used, *a.tiles.shape[1:]), a.tiles.dtype)
-                corners = np.zeros((4 * self._used, 3), np.int64)
+                count = max(_TILES, 4 * self._used)
+                tiles = np.zeros((count, *a.tiles.shape[1:]), a.tiles.dtype)
+                corners = np.zeros((count, 3), np.int64)
                 tiles[: self._used], corners[: self._used] = a.tiles, a.corners
                 self._arrays = a._replace(tiles=tiles, corners=corners)
             else:
