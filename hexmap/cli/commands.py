@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hexmap.base.errors import HexmapError
-from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, viewing
+from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, showing, viewing
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
 
@@ -34,7 +34,7 @@ app.command()(mapping.merge)
 app.command()(mapping.evaluate)
 app.command()(viewing.info)
 app.command()(viewing.lattices)
-app.command()(viewing.show)
+app.command()(showing.show)
 app.command()(viewing.export)
 app.command(cls=PlanCommand)(planning.plan)
 experiments.app.command()(localisation_experiment.localisation)

@@ -1,10 +1,10 @@
-"""Commands that look at things: info, lattices, show, export."""
+"""Commands that look at things: info, lattices, export."""
 
 from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,8 +12,8 @@ from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, say, warn, wrote
 
 if TYPE_CHECKING:
+    from hexmap.maps.map import Map
     from hexmap.maps.state_rule import StateRule
-    from hexmap.maps.voxel_list import VoxelList
 
 MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
 LevelOption = Annotated[int, typer.Option(help="Level of the map, 0 is the finest.")]
@@ -147,116 +147,22 @@ def lattices() -> None:
     say("around the cells; in, out: their radii.")
 
 
-def show(
-    source: Annotated[Path, typer.Argument(help="A map of hexmap, or points: PCD, PLY, text, KITTI .bin, NPY.")],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Picture (.png, .svg, .pdf); of points .png, or the mesh: .ply, .glb."),
-    ] = None,
-    level: LevelOption = 0,
-    trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
-    min_hits: MinHits = None,
-    min_ratio: MinRatio = None,
-    lattice: Annotated[str | None, typer.Option(help="Lattice of points: Z3, D3, D3*.", show_default="D3")] = None,
-    volume: clouds.Volume = None,
-    resolution: clouds.Resolution = None,
-    view: Annotated[tuple[float, float], typer.Option(help="Azimuth and elevation of the eye, degrees.")] = (-120, 35),
-    cut_above: Annotated[float | None, typer.Option(help="Take off cells above this height, m.")] = None,
-    viewer: Annotated[bool, typer.Option(help="Open a window (needs the open3d extra).")] = False,
-    format: clouds.Format = None,
-    units: clouds.Units = "m",
-    axes: clouds.Axes = "xyz",
-    min_range: clouds.MinRange = 0.0,
-    max_range: clouds.MaxRange = None,
-    crop: clouds.Crop = None,
-    unique: clouds.Unique = False,
-    sample: clouds.Sample = None,
-    seed: clouds.Seed = 0,
-) -> None:
-    """Draw a map with its true cells, or points in space as shaded polyhedra."""
-    from hexmap.base.errors import ArgumentError
-    from hexmap.io.file_kinds import is_parquet
-
-    if output is None and not viewer:
-        raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
-    check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
-    about_points = lattice is not None or volume is not None or resolution is not None
-    if not about_points and is_parquet(source) and not viewer:
-        assert output is not None
-        _show_map(source, output, level, trajectory, min_hits, min_ratio)
-        return
-    size = clouds.cell_size(resolution, volume, None, 3)
-    if is_parquet(source):
-        if about_points:
-            raise ArgumentError(f"{source}: a map has its lattice; --lattice, --volume and --resolution are for points")
-        from hexmap.io.map_file import load_map
-
-        loaded = load_map(source)
-        cells = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level=level).occupied
-    else:
-        if size is None:
-            raise ArgumentError(f"{source}: say how large the cells of points are: --volume or --resolution")
-        cells = _cells_of_points(
-            source, lattice, size, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range,
-            crop=crop, unique=unique, sample=sample, seed=seed,
-        )  # fmt: skip
-    _show_solids(cells, output, view, cut_above, viewer)
-
-
-def _show_map(
-    map: Path, output: Path, level: int, trajectory: Path | None, min_hits: int | None, min_ratio: float | None
-) -> None:
-    from hexmap.drawing.map_drawing import check_picture, draw_map
-    from hexmap.io.map_file import load_map
-    from hexmap.io.trajectories import read_tum
-
-    check_picture(output)
-    loaded = load_map(map)
-    poses = read_tum(trajectory) if trajectory is not None else None
-    draw_map(loaded, output, level=level, trajectory=poses, rule=rule_of(min_hits, min_ratio, loaded.sources()))
-    wrote(output, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
-
-
-def _cells_of_points(source: Path, lattice: str | None, size: float, **reading: Any) -> VoxelList:
-    from hexmap.base.errors import ArgumentError
-    from hexmap.lattice.lattice import Lattice, default_name
-    from hexmap.maps.voxel_list import VoxelList
-
-    points, _, warnings = clouds.read_cloud(source, None, cells=size, **reading)
-    for text in warnings:
-        warn(text)
-    on = Lattice.named(lattice or default_name(points.shape[1]), size)
-    if on.dim != points.shape[1]:
-        raise ArgumentError(
-            f"{source}: the points are of dimension {points.shape[1]}, the lattice {on.name} of {on.dim}"
-        )
-    return VoxelList.from_points(points, on)
-
-
-def _show_solids(
-    cells: VoxelList, output: Path | None, view: tuple[float, float], cut_above: float | None, viewer: bool
-) -> None:
-    from hexmap.drawing.solids.draw_solids import Cut, draw_solids, view_solids
-    from hexmap.drawing.solids.mesh import mesh_of_cells
-    from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
-
-    if output is not None and output.suffix.lower() in MESH_SUFFIXES:
-        wrote(save_mesh(output, mesh_of_cells(cells)), f"mesh of {len(cells):,} cells")
-    elif output is not None:
-        draw_solids(cells, output, view=view, cut="auto" if cut_above is None else Cut(above=cut_above))
-        wrote(output, f"{len(cells):,} cells, {cells.lattice.title}")
-    if viewer:
-        view_solids(mesh_of_cells(cells))
-
-
 def export(
     map: MapFile,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help=".yaml (ROS map_server, with .pgm), .csv or .ply (points).")
+        Path,
+        typer.Option(
+            "--output", "-o", help=".yaml (ROS map_server, with .pgm), .bt (OctoMap), .csv, .ply or .pcd (points)."
+        ),
     ],
     level: LevelOption = 0,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
+    height: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Of a map in space: the heights, m, whose cells go into a ROS map.", metavar="LOW HIGH"),
+    ] = None,
+    crop: clouds.Crop = None,
 ) -> None:
     """Write a map in a format that other programs read."""
     from hexmap.io.exports import export as export_map
@@ -264,9 +170,31 @@ def export(
 
     image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
     check_outputs({"--output": output, "the image of --output": image}, (map,))
-    loaded = load_map(map)
-    for path in export_map(loaded, output, level=level, rule=rule_of(min_hits, min_ratio, loaded.sources())):
+    loaded = cropped(load_map(map), crop, map)
+    rule = rule_of(min_hits, min_ratio, loaded.sources())
+    for path in export_map(loaded, output, level=level, rule=rule, heights=height, report=say):
         wrote(path, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
+
+
+def cropped(map: Map, crop: str | None, path: Path) -> Map:
+    """Return the part of a map in the box that ``--crop`` names, all of it where it names none.
+
+    Raises:
+        ArgumentError: it is no box of the map's dimension, or no cell lies in it.
+    """
+    from hexmap.base.errors import ArgumentError
+
+    low, high = clouds.corners(crop)
+    if low is None or high is None:
+        return map
+    if len(low) != map.lattice.dim:
+        raise ArgumentError(
+            f"{path}: the map is of dimension {map.lattice.dim}; --crop takes {2 * map.lattice.dim} numbers"
+        )
+    part = map.crop(low, high)
+    if part.bounds() is None:
+        raise ArgumentError(f"{path}: no cell of the map lies in the box {crop}")
+    return part
 
 
 def rule_of(min_hits: int | None, min_ratio: float | None, sources: list[dict[str, object]]) -> StateRule:

@@ -28,6 +28,7 @@ __all__ = [
     "FigureLayout",
     "draw_captions",
     "draw_path_captions",
+    "draw_slice_captions",
     "metres_text",
     "round_length",
     "thresholds",
@@ -52,7 +53,8 @@ _MAX_PIXELS = 50_000_000
 class FigureLayout:
     """Where the map lies in its figure: inches, the box it shows in metres, and whole pixels.
 
-    ``below`` is room for something else under the map, inches; ``y_down`` puts the low y at the top.
+    ``below`` and ``beside`` are room for something else under the map and to the left of it, inches; ``y_down`` puts
+    the low y at the top.
     """
 
     low: NDArray[np.float64]
@@ -63,6 +65,7 @@ class FigureLayout:
     captions: float
     below: float = 0.0
     y_down: bool = False
+    beside: float = 0.0
 
     @classmethod
     def around(
@@ -116,7 +119,7 @@ class FigureLayout:
     @property
     def left(self) -> float:
         """Inches from the left edge to the map, which is centred where the captions are wider."""
-        return self._whole(_MARGIN + 0.5 * (self.captions - self.pixels[0] / self.dpi))
+        return self._whole(_MARGIN + self.beside + 0.5 * (self.captions - self.pixels[0] / self.dpi))
 
     @property
     def bottom(self) -> float:
@@ -126,7 +129,7 @@ class FigureLayout:
     @property
     def width(self) -> float:
         """Inches of the whole figure."""
-        return self._whole(self.captions + 2.0 * _MARGIN)
+        return self._whole(self.captions + self.beside + 2.0 * _MARGIN)
 
     @property
     def height(self) -> float:
@@ -188,6 +191,22 @@ def draw_path_captions(
     if goal_missed:
         legend.add_cross("goal, not reached")
     legend.add_line("path")
+
+
+def draw_slice_captions(
+    figure: Any,
+    layout: FigureLayout,
+    lattice: Lattice,
+    kinds: list[tuple[str, str]],
+    title: str | None,
+    words: str,
+    with_path: bool,
+) -> None:
+    """Write what a slice of a map in space shows; ``kinds`` are the names and colours of its cells."""
+    legend = _draw_sheet(figure, layout, title, f"{_lattice_words(lattice)}; {words}")
+    legend.add_kinds(kinds, lattice)
+    if with_path:
+        legend.add_line("trajectory")
 
 
 def _lattice_words(lattice: Lattice) -> str:

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -250,10 +250,20 @@ def _draw_states_as_pixels(figure: Any, layout: FigureLayout, states: States) ->
     draw_pixels(figure, layout, table, colours, occupied.centres(), shades)
 
 
+class PointClasses(Protocol):
+    """What says of which class the points of a picture are: :class:`~hexmap.maps.outlines.ClassTable`, or a section."""
+
+    lattice: Lattice
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Return the class (N,) of each of ``points`` (N, 2), metres."""
+        ...
+
+
 def draw_pixels(
     figure: Any,
     layout: FigureLayout,
-    table: ClassTable,
+    table: PointClasses,
     colours: tuple[str, ...],
     walls: NDArray[np.float64],
     classes: NDArray[np.uint8],

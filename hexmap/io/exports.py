@@ -1,4 +1,4 @@
-"""Maps in the formats of others: ROS map_server images, tables of cells (CSV) and points (PLY).
+"""Maps in the formats of others: ROS map_server images, OctoMap, tables of cells (CSV) and points (PLY, PCD).
 
 Each function writes one level of a map, whole files only. What is occupied and free is the map's
 own rule, :meth:`hexmap.maps.Map.state`.
@@ -13,44 +13,65 @@ import numpy as np
 
 from hexmap.base.atomic_files import PathLike, atomic_write
 from hexmap.base.errors import ArgumentError
-from hexmap.io.ros_map import export_ros
+from hexmap.io.octomap_export import export_octomap
+from hexmap.io.ros_map import export_ros, export_ros_band
 from hexmap.lattice.keys import unpack
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 
-__all__ = ["export", "export_csv", "export_ply", "export_ros"]
+__all__ = ["export", "export_csv", "export_octomap", "export_pcd", "export_ply", "export_ros", "export_ros_band"]
 
 
-def export(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
+def export(
+    map: Map,
+    path: PathLike,
+    level: int = 0,
+    rule: StateRule | None = None,
+    *,
+    heights: tuple[float, float] | None = None,
+    report: Callable[[str], None] | None = None,
+) -> list[Path]:
     """Write a level of a map in the format that the suffix of ``path`` names.
 
     Args:
         map: the map.
-        path: ``.yaml`` or ``.yml`` for ROS map_server (with a ``.pgm`` beside it), ``.csv`` for a table
-            of cells, ``.ply`` for the occupied centres as points.
+        path: ``.yaml`` or ``.yml`` for ROS map_server (with a ``.pgm`` beside it), ``.bt`` for OctoMap, ``.csv`` for
+            a table of cells, ``.ply`` or ``.pcd`` for the occupied centres as points.
         level: which level, 0 is the finest.
         rule: what makes a cell occupied or free; the default rule where none is given.
+        heights: the lowest and the highest height, metres, of the cells of a map in space that go into a ROS map.
+        report: called with a line that says what of the map the format cannot hold, if there is anything.
 
     Returns:
         The files written.
 
     Raises:
-        ArgumentError: a suffix that is not known, a level that the map does not have, or a map in space
-            for ROS.
+        ArgumentError: a suffix that is not known, a level that the map does not have, a map in space for ROS without
+            heights, heights for another format, or a map in the plane for OctoMap.
         FileAccessError: a file cannot be written.
     """
     formats: dict[str, Callable[[Map, PathLike, int, StateRule | None], list[Path]]] = {
-        ".yaml": export_ros,
-        ".yml": export_ros,
         ".csv": export_csv,
         ".ply": export_ply,
+        ".pcd": export_pcd,
     }
     suffix = Path(path).suffix.lower()
+    say = report or (lambda _: None)
+    if suffix in (".yaml", ".yml"):
+        if heights is None:
+            return export_ros(map, path, level, rule)
+        written, words = export_ros_band(map.state(rule, level), path, heights)
+        say(words)
+        return written
+    if heights is not None:
+        raise ArgumentError(f"{path}: a band of heights is for a ROS map (.yaml), not for {suffix or 'this file'}")
+    if suffix == ".bt":
+        say(export_octomap(map.state(rule, level), path).words())
+        return [Path(path)]
     if suffix not in formats:
-        raise ArgumentError(
-            f"{path}: cannot export to {suffix or 'a file without a suffix'}; known are {', '.join(formats)}"
-        )
+        known = ", ".join((".yaml", ".yml", ".bt", *formats))
+        raise ArgumentError(f"{path}: cannot export to {suffix or 'a file without a suffix'}; known are {known}")
     return formats[suffix](map, path, level, rule)
 
 
@@ -125,4 +146,39 @@ def export_ply(map: Map, path: PathLike, level: int = 0, rule: StateRule | None 
     with atomic_write(path) as handle:
         handle.write(header.encode("ascii"))
         handle.write(vertices.tobytes())
+    return [path]
+
+
+def export_pcd(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
+    """Write the centres of the occupied cells of a level as points: binary PCD, as PCL reads it.
+
+    Each point has ``x y z`` (float32, metres; z is 0 for a map in the plane) and ``hits`` (uint32), which
+    stays at 2^32 - 1 where a cell was hit more often than that.
+
+    Args:
+        map: the map.
+        path: the file.
+        level: which level, 0 is the finest.
+        rule: what makes a cell occupied.
+
+    Returns:
+        The file written.
+
+    Raises:
+        ArgumentError: there is no such level.
+        FileAccessError: the file cannot be written.
+    """
+    path = Path(path)
+    occupied = map.state(rule, level).occupied
+    points = np.zeros(len(occupied), np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("hits", "<u4")]))
+    for axis, column in zip("xyz", occupied.centres().T, strict=False):
+        points[axis] = column
+    points["hits"] = np.minimum(occupied.counts, 2**32 - 1)
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z hits\nSIZE 4 4 4 4\nTYPE F F F U\n"
+        f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
+    )
+    with atomic_write(path) as handle:
+        handle.write(header.encode("ascii"))
+        handle.write(points.tobytes())
     return [path]

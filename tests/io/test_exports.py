@@ -161,7 +161,7 @@ def test_ros_far_apart_cells_of_a_wide_window(tmp_path: Path, monkeypatch: pytes
 
 @spatial
 def test_ros_is_flat(case: Case, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match=r"\.ply or \.csv"):
+    with pytest.raises(ArgumentError, match=r"\.pcd or \.csv"):
         export_ros(empty_map(case.lattice), tmp_path / "m.yaml")
     assert list(tmp_path.iterdir()) == []
 
@@ -244,7 +244,7 @@ def test_export_by_suffix(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["m.parquet", "m", "m.yaml.gz"])
 def test_unknown_suffix(name: str, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match=r"known are \.yaml, \.yml, \.csv, \.ply"):
+    with pytest.raises(ArgumentError, match=r"known are \.yaml, \.yml, \.bt, \.csv, \.ply, \.pcd"):
         export(empty_map(Lattice.named("A2")), tmp_path / name)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections import Counter
 
 import numpy as np
@@ -105,6 +106,27 @@ def test_a_scan_is_hits_at_the_ends_of_rays_and_passes_before_them(case: Case) -
 
 
 @each
+def test_rays_along_faces_and_through_corners_count_the_cells_of_the_exact_walk(case: Case) -> None:
+    """Many rays at once take quotients that are rounded once more; ties are settled as for one ray alone."""
+    rng = np.random.default_rng(6)
+    corners = np.vstack([case.lattice.cell.vertices, 0.5 * case.lattice.cell.normals, np.zeros((1, case.dim))])
+    # From a centre, the middle of a face or a corner to others of these, and a few anywhere between.
+    for begin in corners[:: max(1, len(corners) // 5)]:
+        at = case.lattice.centres(rng.integers(-6, 7, (50, case.dim)))
+        ends = at + corners[rng.integers(0, len(corners), 50)]
+        ends[::7] += rng.uniform(-0.5, 0.5, (8, case.dim)) * case.lattice.resolution
+        counter = CellCounter(case.lattice)
+        counter.fuse(begin, ends, 30)
+        through = traverse(case.lattice, np.broadcast_to(begin, ends.shape), ends)
+        rays = [list(map(tuple, through.ray(r).tolist())) for r in range(len(ends))]
+        check_list(counter, Counter(ray[-1] for ray in rays[:30]), HITS)
+        passes: Counter = Counter()
+        for r, ray in enumerate(rays):
+            passes.update(ray[:-1] if r < 30 else ray)
+        check_list(counter, passes, PASSES)
+
+
+@each
 def test_a_scan_that_is_out_of_range_or_too_large_adds_nothing(case: Case) -> None:
     counter = CellCounter(case.lattice)
     ends = np.ones((3, case.dim))
@@ -170,3 +192,17 @@ def test_an_empty_counter(case: Case) -> None:
     assert counter.find(np.zeros((1, case.dim), np.int32)).tolist() == [0]
     counter.fuse(np.zeros(case.dim), np.empty((0, case.dim)), 0)
     assert counter.to_list(PASSES) == VoxelList.empty(case.lattice)
+
+
+@each
+def test_a_counter_that_was_sent_elsewhere_goes_on_as_before(case: Case) -> None:
+    """Spare tiles stay behind, also where there is none but those."""
+    rng = np.random.default_rng(8)
+    here, there = CellCounter(case.lattice), pickle.loads(pickle.dumps(CellCounter(case.lattice)))
+    for _ in range(3):
+        ends = rng.uniform(-30, 30, (40, case.dim)) * case.lattice.resolution
+        for counter in (here, there):
+            counter.fuse(np.zeros(case.dim), ends, 20)
+        there = pickle.loads(pickle.dumps(there))
+        for channel in (HITS, PASSES):
+            assert here.to_list(channel) == there.to_list(channel)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
 from hexmap.cli.plan.map_source import PlanningMap, foreign_map, inputs_of, own_map
 from hexmap.cli.plan.query import (
@@ -23,7 +24,7 @@ from hexmap.cli.plan.query import (
     parse_position,
 )
 from hexmap.cli.plan.search import find_path, kernels_of
-from hexmap.cli.viewing import MinHits, MinRatio, rule_of
+from hexmap.cli.viewing import MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
@@ -100,6 +101,7 @@ def plan(
     level: Annotated[int | None, typer.Option(help="Level of a map of hexmap.", show_default="0")] = None,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
+    crop: clouds.Crop = None,
 ) -> None:
     """Look for the cheapest path between two positions in a map.
 
@@ -107,6 +109,7 @@ def plan(
     """
     from hexmap.base.errors import ArgumentError
     from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.map_file import load_map
 
     query = Query(
         start, goal, planner, weight, bidirectional, shortcut, nearest,
@@ -128,12 +131,14 @@ def plan(
         map,
         own,
         {"--lattice": lattice, "--resolution": resolution, "--cell": cell},
-        {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio},
+        {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio, "--crop": crop},
     )
     first_run_note()
     begin = time.perf_counter()
     if own:
-        planning_map = own_map(map, query, level or 0, lambda sources: rule_of(min_hits, min_ratio, sources))
+        loaded = cropped(load_map(map), crop, map)
+        rule = rule_of(min_hits, min_ratio, loaded.sources())
+        planning_map = own_map(map, loaded, query, level or 0, rule)
     else:
         planning_map = foreign_map(map, query, lattice, resolution, cell)
     graph = _with_clearance(planning_map.graph, query)

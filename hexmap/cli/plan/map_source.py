@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hexmap.cli.plan.query import Query
 
@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
     from hexmap.graph.lattice_graph import LatticeGraph
     from hexmap.lattice.lattice import Lattice
+    from hexmap.maps.map import Map
+    from hexmap.maps.state_rule import StateRule
 
 
+_STRAYS = 0.001  # fraction of the cells beyond which they stray, on each side
 _SEARCH_BYTES = 20  # a cell of the window while a search runs: state, terrain, cost, parent and some of the queue
 
 
@@ -61,16 +64,14 @@ class PlanningMap:
     y_down: bool = False
 
 
-def own_map(path: Path, query: Query, level: int, rule_for: Callable[[Any], Any]) -> PlanningMap:
-    """Return a level of a map of hexmap."""
+def own_map(path: Path, loaded: Map, query: Query, level: int, rule: StateRule) -> PlanningMap:
+    """Return a level of a map of hexmap, which was read from ``path``."""
     import numpy as np
 
     from hexmap.graph.lattice_graph import LatticeGraph
-    from hexmap.io.map_file import load_map
 
-    loaded = load_map(path)
     _check_dimensions(path, query, loaded.lattice.dim)
-    rule = rule_for(loaded.sources())
+    _check_window(path, loaded, level)
     graph = LatticeGraph.from_map(
         loaded, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
     )
@@ -124,6 +125,33 @@ def _check_dimensions(path: Path, query: Query, dim: int) -> None:
             raise ArgumentError(
                 f"{path}: the map is of dimension {dim}; {option} takes {dim} numbers, not {len(position)}"
             )
+
+
+def _check_window(path: Path, loaded: Map, level: int) -> None:
+    """Reject a map whose box is too large for a window, naming the box that most of its cells lie in.
+
+    Raises:
+        TooLargeError: it is. A few beams through a window or off a mirror are enough for that.
+    """
+    import numpy as np
+
+    from hexmap.base.errors import TooLargeError
+    from hexmap.graph.lattice_graph import MAX_CELLS
+    from hexmap.lattice.keys import unpack
+
+    keys, _, _ = loaded.level(level).columns()
+    if len(keys) == 0:
+        return
+    index = unpack(keys, loaded.lattice.dim)
+    cells = float(np.prod(np.ptp(index, axis=0).astype(np.float64) + 3.0))
+    if cells > MAX_CELLS:
+        centres = loaded.level(level).lattice.centres(index)
+        low, high = np.quantile(centres, (_STRAYS, 1.0 - _STRAYS), axis=0)
+        box = ",".join(f"{v:.0f}" for v in (*np.floor(low), *np.ceil(high)))
+        raise TooLargeError(
+            f"{path}: the box of its cells is {cells:,.0f} cells, more than {MAX_CELLS:,}; most of them lie in "
+            f"--crop={box}, or take a coarser --level"
+        )
 
 
 def _check_size(path: Path, lattice: Lattice, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:

@@ -23,21 +23,25 @@ import io
 import math
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError, MissingDependencyError
 from hexmap.drawing.figure_layout import FAINT, metres_text, round_length
+from hexmap.drawing.solids.lines import SeenLine, add_line_legend, positions_in_space
 from hexmap.drawing.solids.mesh import Mesh, check_spatial, exposed_faces, height_colours, height_range, mesh_of_cells
 from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
 from hexmap.drawing.solids.renderer import Camera, directions, render
 from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
+
+if TYPE_CHECKING:
+    from hexmap.poses.trajectory import Trajectory
 
 __all__ = ["MESH_SUFFIXES", "Cut", "Mesh", "draw_solids", "find_cut", "mesh_of_cells", "save_mesh", "view_solids"]
 
@@ -123,6 +127,8 @@ def draw_solids(
     title: str | None = None,
     size: tuple[int, int] = (1600, 1200),
     dpi: float = 200.0,
+    trajectory: Trajectory | ArrayLike | None = None,
+    offset: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Path:
     """Draw cells in space as shaded solids, in perspective, coloured by height.
 
@@ -139,34 +145,44 @@ def draw_solids(
         title: a line above the picture, if any.
         size: width and height of the picture, pixels.
         dpi: pixels an inch, which sets the size of the text.
+        trajectory: where the sensor went: a trajectory or positions (N, 3), metres; a row that is not finite
+            interrupts the line. What cells hide of it is drawn dotted.
+        offset: (3,) metres, where the cell 0 of the lattice has its centre in the map's frame, for grids of others,
+            whose cells have their corners there.
 
     Returns:
         The path of the file.
 
     Raises:
-        ArgumentError: a lattice of the plane, another suffix, or numbers out of range.
+        ArgumentError: a lattice of the plane, another suffix, positions of another shape, or numbers out of range.
         FileAccessError: the file cannot be written.
     """
     path = Path(path)
     check_spatial(cells.lattice)
     _check_options(path, view, fit, size, dpi)
-    cut = (find_cut(cells) if cut == "auto" else cut) or Cut()
+    shift = np.asarray(offset, dtype=np.float64)
+    line = positions_in_space(trajectory) - shift
+    cut = _cut_in(cells, cut, shift)
     drawn = cells.select(cut.keep(cells, view[0]))
     heights = drawn.centres()[:, 2]
     ends = height_range(heights)
+    scene = None
     pixels = np.full((size[1], size[0], 3), _PAPER, np.uint8)
-    camera, outside = None, 0
+    outside = 0
     if len(drawn):
         exposed = exposed_faces(drawn)
         looking = directions(*view)
         camera = Camera.fitted(
             looking, drawn.centres(), drawn.lattice.cell.vertices, _frame(size, dpi, title is not None), fit
         )
-        pixels = render(drawn, exposed, height_colours(heights, *ends), camera, looking, size, _PAPER)
+        rendering = render(drawn, exposed, height_colours(heights, *ends), camera, looking, size, _PAPER)
+        pixels = rendering.image
+        seen = [SeenLine.of(line, camera, rendering.nearness, drawn.lattice.resolution)] if len(line) else []
+        scene = _Scene(camera, drawn, (ends[0] + float(shift[2]), ends[1] + float(shift[2])), seen)
         positions = camera.project(drawn.centres())
         outside = int(((positions < 0) | (positions > size)).any(axis=1).sum())
-    words = _caption(cells, drawn, cut, outside)
-    pixels = _lettered(pixels, camera, drawn, ends, words, title, dpi)
+    words = _caption(cells, drawn, cut, outside, float(shift[2]))
+    pixels = _lettered(pixels, scene, words, title, dpi)
 
     from matplotlib.image import imsave
 
@@ -206,29 +222,49 @@ def _frame(size: tuple[int, int], dpi: float, titled: bool) -> tuple[float, floa
     return side, top, size[0] - side, size[1] - min(_FOOT * dpi, 0.3 * size[1])
 
 
-def _caption(cells: VoxelList, drawn: VoxelList, cut: Cut, outside: int) -> str:
-    """Say in a line what is drawn."""
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What the words and lines on a picture are about.
+
+    Attributes:
+        camera: where it is seen from.
+        drawn: the cells.
+        ends: the heights, metres, between which colours change.
+        lines: the trajectory, if there is one.
+    """
+
+    camera: Camera
+    drawn: VoxelList
+    ends: tuple[float, float]
+    lines: list[SeenLine]
+
+
+def _cut_in(cells: VoxelList, cut: Cut | Literal["auto"] | None, shift: NDArray[np.float64]) -> Cut:
+    """Return the cut in the frame of the lattice, which ``shift`` (3,), metres, carries into the map's."""
+    if cut == "auto":
+        return find_cut(cells)
+    if cut is None or cut.above is None:
+        return cut or Cut()
+    return replace(cut, above=cut.above - float(shift[2]))
+
+
+def _caption(cells: VoxelList, drawn: VoxelList, cut: Cut, outside: int, rise: float) -> str:
+    """Say in a line what is drawn; the map's heights are ``rise``, metres, above those of the lattice."""
     lattice = cells.lattice
     words = f"{lattice.title} lattice, resolution {metres_text(lattice.resolution)}; {len(drawn):,} cells"
     if len(drawn) < len(cells):
-        parts = [f"above {metres_text(cut.above)}"] if cut.above is not None else []
+        parts = [f"above {metres_text(cut.above + rise)}"] if cut.above is not None else []
         parts += [f"in the nearest {100.0 * cut.near:.3g} % of the depth"] if cut.near else []
         words += f", {len(cells) - len(drawn):,} {' and '.join(parts)} cut away"
     return words + (f", {outside:,} off the page" if outside else "")
 
 
 def _lettered(
-    pixels: NDArray[np.uint8],
-    camera: Camera | None,
-    drawn: VoxelList,
-    ends: tuple[float, float],
-    words: str,
-    title: str | None,
-    dpi: float,
+    pixels: NDArray[np.uint8], scene: _Scene | None, words: str, title: str | None, dpi: float
 ) -> NDArray[np.uint8]:
-    """Return the picture with title, caption, scale and the colours of heights."""
+    """Return the picture with title, caption, scale, the colours of heights and the trajectory."""
     height, width = pixels.shape[:2]
-    ink = _ink(height, width, camera, drawn, ends, words, title, dpi)
+    ink = _ink(height, width, scene, words, title, dpi)
     if ink.shape[:2] != pixels.shape[:2]:
         # The figure's inches can round to a pixel less or more.
         whole = np.zeros((height, width, 4), np.float32)
@@ -243,16 +279,9 @@ def _lettered(
 
 
 def _ink(
-    height: int,
-    width: int,
-    camera: Camera | None,
-    drawn: VoxelList,
-    ends: tuple[float, float],
-    words: str,
-    title: str | None,
-    dpi: float,
+    height: int, width: int, scene: _Scene | None, words: str, title: str | None, dpi: float
 ) -> NDArray[np.float32]:
-    """Return title, caption, scale and the colours of heights on a transparent sheet (H, W, 4), 0 to 255."""
+    """Return all that is written and drawn on the picture on a transparent sheet (H, W, 4), 0 to 255."""
     import matplotlib
     from matplotlib import style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -270,12 +299,15 @@ def _ink(
         if title is not None:
             sheet.text(_MARGIN, h - 0.5 * _HEAD, title, fontsize=10.5, color=_TEXT, va="center")
         sheet.text(_MARGIN, 0.24 * _FOOT, words, fontsize=7, color=FAINT, va="center")
-        if camera is None:
+        if scene is None:
             empty = "no cell is left to draw" if "cut" in words else "empty map: no cell is occupied"
             sheet.text(0.5 * w, 0.5 * h, empty, ha="center", va="center", color=FAINT, fontsize=11)
         else:
-            _add_scale(sheet, camera, drawn, w, dpi)
-            _add_heights(sheet, w - _MARGIN, ends)
+            _add_scale(sheet, scene.camera, scene.drawn, w, dpi)
+            left = _add_heights(sheet, w - _MARGIN, scene.ends)
+            for line in scene.lines:
+                line.draw(sheet, h, dpi)
+                add_line_legend(sheet, left - 0.2, 0.62 * _FOOT)
             sheet.set_xlim(0, w)
             sheet.set_ylim(0, h)
         canvas.draw()
@@ -305,8 +337,8 @@ def _add_scale(sheet: Any, camera: Camera, drawn: VoxelList, width: float, dpi: 
     sheet.text(left + bar + 0.07, row, f"{metres_text(metres)} in mid-scene", fontsize=7.5, color=_TEXT, va="center")
 
 
-def _add_heights(sheet: Any, right: float, ends: tuple[float, float]) -> None:
-    """Add the colours of the heights between the ends, metres, to the left of ``right``, inches."""
+def _add_heights(sheet: Any, right: float, ends: tuple[float, float]) -> float:
+    """Add the colours of the heights between the ends, metres, left of ``right``; return where that begins, inches."""
     row = 0.62 * _FOOT
     # To a hundredth of the range: more digits would only be noise.
     digits = 2 - math.floor(math.log10(max(ends[1] - ends[0], 1e-3)))
@@ -316,7 +348,8 @@ def _add_heights(sheet: Any, right: float, ends: tuple[float, float]) -> None:
     x = right - text.get_window_extent(figure.canvas.get_renderer()).width / figure.dpi - 0.06
     ramp = height_colours(np.linspace(0.0, 1.0, 256), 0.0, 1.0)[None]
     sheet.imshow(ramp, extent=(x - 1.1, x, row - 0.05, row + 0.05), aspect="auto", interpolation="nearest")
-    sheet.text(x - 1.16, row, f"height {low}", fontsize=7.5, color=_TEXT, ha="right", va="center")
+    text = sheet.text(x - 1.16, row, f"height {low}", fontsize=7.5, color=_TEXT, ha="right", va="center")
+    return float(x - 1.16 - text.get_window_extent(figure.canvas.get_renderer()).width / figure.dpi)
 
 
 # ---------------------------------------------------------------------- the viewer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -72,6 +72,10 @@ class Mesh:
             return 0.0
         a, b, c = (self.vertices[self.triangles[:, k]] - self.vertices[0] for k in range(3))
         return float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+
+    def moved(self, offset: NDArray[np.float64]) -> Mesh:
+        """Return the same surface moved by ``offset`` (3,), metres."""
+        return replace(self, vertices=self.vertices + offset)
 
     def split(self) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
         """Return the same surface with corners of its own for each face, as flat shading wants it.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError
@@ -22,9 +22,10 @@ MESH_SUFFIXES = (".ply", ".glb")
 # glTF's numbers for types and for what a buffer is used for.
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+_LINE = np.array([0xE4, 0x57, 0x2E], np.uint8)  # sRGB, the colour of paths in pictures
 
 
-def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> Path:
+def save_mesh(path: str | os.PathLike[str], mesh: Mesh, line: ArrayLike | None = None) -> Path:
     """Write a mesh; the suffix says how. The old file stays until the new one is whole.
 
     ``.ply`` is binary, little-endian, in the cells' own frame (metres, z up): shared corners in
@@ -38,6 +39,8 @@ def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> Path:
     Args:
         path: ``.ply`` or ``.glb``.
         mesh: the surface.
+        line: positions (N, 3), metres, of a trajectory to save with it, if any: lines in GLB, an element ``edge`` in
+            PLY; a row that is not finite interrupts it.
 
     Returns:
         The path of the file.
@@ -53,35 +56,53 @@ def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> Path:
         raise ArgumentError(f"{path}: a mesh is saved as {' or '.join(MESH_SUFFIXES)}, not as {kind}")
     if len(mesh.triangles) == 0:
         raise ArgumentError(f"{path}: the mesh is empty, there is nothing to save")
-    pieces = _ply(mesh) if suffix == ".ply" else _glb(mesh, path)
+    segments = _segments(line)
+    pieces = _ply(mesh, segments) if suffix == ".ply" else _glb(mesh, path, segments)
     with atomic_write(path) as handle:
         for piece in pieces:
             handle.write(piece)
     return path
 
 
-def _ply(mesh: Mesh) -> list[bytes]:
+def _segments(line: ArrayLike | None) -> NDArray[np.float64]:
+    """Return the segments (S, 2, 3) of a line through positions (N, 3).
+
+    Raises:
+        ArgumentError: the positions are of another shape.
+    """
+    points = np.empty((0, 3)) if line is None else np.asarray(line, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ArgumentError(f"the positions of a line in space must be (N, 3), not {points.shape}")
+    pairs = np.stack([points[:-1], points[1:]], axis=1) if len(points) > 1 else np.empty((0, 2, 3))
+    return np.asarray(pairs[np.isfinite(pairs).all(axis=(1, 2))])
+
+
+def _ply(mesh: Mesh, segments: NDArray[np.float64]) -> list[bytes]:
     """Return the parts of a PLY file."""
+    ends = segments.reshape(-1, 3)
     colour = ["property uchar red", "property uchar green", "property uchar blue"]
     header = [
         "ply",
         "format binary_little_endian 1.0",
         "comment cells of a lattice, metres, z up",
-        f"element vertex {len(mesh.vertices)}",
+        f"element vertex {len(mesh.vertices) + len(ends)}",
         *(f"property double {axis}" for axis in "xyz"),
         *colour,
         f"element face {len(mesh.triangles)}",
         "property list uchar int vertex_indices",
         *colour,
         "property int cell",
-        "end_header\n",
     ]
-    corners = np.empty(len(mesh.vertices), [("position", "<f8", 3), ("colour", "u1", 3)])
-    corners["position"] = mesh.vertices
-    corners["colour"] = _corner_colours(mesh)
+    if len(segments):
+        header += [f"element edge {len(segments)}", "property int vertex1", "property int vertex2"]
+    header.append("end_header\n")
+    corners = np.empty(len(mesh.vertices) + len(ends), [("position", "<f8", 3), ("colour", "u1", 3)])
+    corners["position"] = np.concatenate([mesh.vertices, ends])
+    corners["colour"] = np.concatenate([_corner_colours(mesh), np.tile(_LINE, (len(ends), 1))])
     faces = np.empty(len(mesh.triangles), [("n", "u1"), ("corners", "<i4", 3), ("colour", "u1", 3), ("cell", "<i4")])
     faces["n"], faces["corners"], faces["colour"], faces["cell"] = 3, mesh.triangles, mesh.colours, mesh.cells
-    return ["\n".join(header).encode("ascii"), corners.tobytes(), faces.tobytes()]
+    edges = (np.arange(len(ends)) + len(mesh.vertices)).astype("<i4")
+    return ["\n".join(header).encode("ascii"), corners.tobytes(), faces.tobytes(), edges.tobytes()]
 
 
 def _corner_colours(mesh: Mesh) -> NDArray[np.uint8]:
@@ -92,7 +113,7 @@ def _corner_colours(mesh: Mesh) -> NDArray[np.uint8]:
     return np.rint(np.stack(sums, axis=1) / many[:, None]).astype(np.uint8)
 
 
-def _glb(mesh: Mesh, path: Path) -> list[bytes]:
+def _glb(mesh: Mesh, path: Path, segments: NDArray[np.float64]) -> list[bytes]:
     """Return the parts of a GLB file."""
     corners, triangles, of = mesh.split()
     origin = np.round(0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)))
@@ -106,6 +127,18 @@ def _glb(mesh: Mesh, path: Path) -> list[bytes]:
         (colours, _ARRAY_BUFFER, _accessor(_UINT16, "VEC4", len(positions), {"normalized": True})),
         (triangles.astype("<u4"), _ELEMENT_ARRAY_BUFFER, _accessor(_UINT32, "SCALAR", triangles.size)),
     ]
+    node: dict[str, Any] = {"name": "cells", "mesh": 0, "translation": _y_up(origin[None])[0].tolist()}
+    cells = {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0, "mode": 4}
+    nodes, meshes = [node], [{"name": "cells", "primitives": [cells]}]
+    if len(segments):
+        ends = _y_up(segments.reshape(-1, 3) - origin).astype("<f4")
+        tint = np.full((len(ends), 4), 65535, "<u2")
+        tint[:, :3] = np.rint(65535.0 * linear_light(_LINE))
+        arrays.append((ends, _ARRAY_BUFFER, _accessor(_FLOAT, "VEC3", len(ends), _ends(ends))))
+        arrays.append((tint, _ARRAY_BUFFER, _accessor(_UINT16, "VEC4", len(ends), {"normalized": True})))
+        nodes.append({**node, "name": "trajectory", "mesh": 1})
+        lines = {"attributes": {"POSITION": 4, "COLOR_0": 5}, "material": 0, "mode": 1}
+        meshes.append({"name": "trajectory", "primitives": [lines]})
     views, start = [], 0
     for number, (array, target, accessor) in enumerate(arrays):
         views.append({"buffer": 0, "byteOffset": start, "byteLength": array.nbytes, "target": target})
@@ -114,16 +147,9 @@ def _glb(mesh: Mesh, path: Path) -> list[bytes]:
     document = {
         "asset": {"version": "2.0", "generator": "hexmap"},
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "cells", "mesh": 0, "translation": _y_up(origin[None])[0].tolist()}],
-        "meshes": [
-            {
-                "name": "cells",
-                "primitives": [
-                    {"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3, "material": 0, "mode": 4}
-                ],
-            }
-        ],
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": nodes,
+        "meshes": meshes,
         "materials": [{"name": "matt", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.9}}],
         "accessors": [accessor for _, _, accessor in arrays],
         "bufferViews": views,

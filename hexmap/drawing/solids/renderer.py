@@ -19,7 +19,7 @@ from hexmap.drawing.solids.mesh import height_range, linear_light, outward_rings
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["Camera", "Directions", "directions", "render"]
+__all__ = ["Camera", "Directions", "Rendering", "directions", "render"]
 
 
 _FIELD = math.radians(36.0)  # that the longer side of the frame covers
@@ -195,6 +195,23 @@ class Camera:
         seen = (points - self.eye) @ self.rotation.T
         return np.asarray(self.focal * seen[:, :2] / seen[:, 2:] + self.middle)
 
+    def distances(self, points: FloatArray) -> FloatArray:
+        """Return how far ``points`` (N, 3) are along the view, metres; not positive behind the eye."""
+        return np.asarray((points - self.eye) @ self.rotation[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """What was drawn.
+
+    Attributes:
+        image: (H, W, 3) uint8, sRGB.
+        nearness: (H, W) float32, 1 / m, 1 / distance along the view of what a pixel's middle shows; 0 where nothing.
+    """
+
+    image: NDArray[np.uint8]
+    nearness: NDArray[np.float32]
+
 
 def render(
     cells: VoxelList,
@@ -204,8 +221,8 @@ def render(
     view: Directions,
     size: tuple[int, int],
     paper: tuple[int, int, int],
-) -> NDArray[np.uint8]:
-    """Return the picture (H, W, 3) uint8, sRGB, of at least one cell.
+) -> Rendering:
+    """Return the picture of at least one cell.
 
     Args:
         cells: what to draw.
@@ -248,7 +265,8 @@ def render(
         ground.lit(light[count:]),
         image,
     )
-    return _encoded(image)
+    middle = samples.per_pixel // 2
+    return Rendering(_encoded(image), samples.depth[middle :: samples.per_pixel, middle :: samples.per_pixel])
 
 
 def _blank_samples(camera: Camera, origin: FloatArray, size: tuple[int, int]) -> Samples:

@@ -150,9 +150,7 @@ def _cut_off(path: Path, at: int, element: _Element, row: int) -> FormatError:
     )
 
 
-def _read_binary(
-    path: Path, data: bytes, start: int, element: _Element, order: str, chosen: list[int]
-) -> FloatArray:
+def _read_binary(path: Path, data: bytes, start: int, element: _Element, order: str, chosen: list[int]) -> FloatArray:
     """Read an element without lists."""
     width = element.width()
     have = (len(data) - start) // width
@@ -171,9 +169,7 @@ def _read_binary(
     return gather(np.frombuffer(data, dtype=record, count=element.count, offset=start), names)
 
 
-def _walk(
-    path: Path, data: bytes, at: int, element: _Element, order: str, chosen: list[int]
-) -> tuple[FloatArray, int]:
+def _walk(path: Path, data: bytes, at: int, element: _Element, order: str, chosen: list[int]) -> tuple[FloatArray, int]:
     """Go through an element row by row where its lists make rows differ; returns values and where it ends."""
     if not element.has_lists:
         width = element.width()

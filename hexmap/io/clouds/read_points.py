@@ -243,9 +243,7 @@ def _checked_delimiter(delimiter: str | None) -> str | None:
     sign = _DELIMITERS.get(delimiter, delimiter)
     # Anything a number or a quoted field may hold cannot separate them.
     if len(sign) != 1 or sign.isalnum() or sign in '+-."#\n\r':
-        raise ArgumentError(
-            f"delimiter must be one character or one of {', '.join(_DELIMITERS)}, not {delimiter!r}"
-        )
+        raise ArgumentError(f"delimiter must be one character or one of {', '.join(_DELIMITERS)}, not {delimiter!r}")
     return sign
 
 

@@ -69,9 +69,7 @@ def parse(path: Path, data: bytes) -> GridMap:
     occupied, free = entries["occupied_thresh"].number(), entries["free_thresh"].number()
     if not 0.0 <= free <= occupied <= 1.0:
         last = max((entries[key] for key in ("occupied_thresh", "free_thresh")), key=lambda entry: entry.line)
-        raise last.error(
-            f"thresholds must be 0 <= free_thresh <= occupied_thresh <= 1, not {free:g} and {occupied:g}"
-        )
+        raise last.error(f"thresholds must be 0 <= free_thresh <= occupied_thresh <= 1, not {free:g} and {occupied:g}")
     negate = entries["negate"].boolean()
     mode = entries.get("mode", Entry(path, "mode", 0, "trinary"))
     if mode.text.lower() not in _MODES:

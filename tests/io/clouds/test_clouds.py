@@ -332,9 +332,7 @@ def test_ply_skips_other_elements_and_properties(tmp_path: Path, kind: str, list
     faces = [(rng.integers(0, 9, rng.integers(0, 6)).tolist(), 3) for _ in range(20)]
     extra = [("uchar", "short", "seen_by")] if lists else [("short", "label")]
     vertex = [("uchar", "red"), ("double", "z"), *extra, ("int", "x"), ("float", "y")]
-    rows = [
-        (k, POINTS[k, 2], list(range(k % 4)) if lists else k, k - 20, POINTS[k, 1]) for k in range(len(POINTS))
-    ]
+    rows = [(k, POINTS[k, 2], list(range(k % 4)) if lists else k, k - 20, POINTS[k, 1]) for k in range(len(POINTS))]
     elements = [
         ("camera", [("float", "x"), ("uint16", "id")], [(1.5, 2), (2.5, 3)]),
         ("face", [("uchar", "int", "vertex_indices"), ("int8", "flag")], faces),

@@ -599,7 +599,7 @@ def test_damaged_yaml_is_one_clear_error_or_a_map(edits: list[tuple[int, str]]) 
         YAML.replace("[1.0, -2, 0]", "[ +1. ,-2.0,\t.0 ] # x y yaw"),
         YAML.replace("[1.0, -2, 0]", "\n- 1.0\n- -2\n- 0"),
         YAML.replace("[1.0, -2, 0]", "\n  - 1.0\n  - -2\n  - 0"),
-        YAML + "\n# a remark\nmode: trinary\nauthor: \"somebody: else\"\n...\n",
+        YAML + '\n# a remark\nmode: trinary\nauthor: "somebody: else"\n...\n',
         YAML.replace("m.pgm", "../{folder}/m.pgm"),
         YAML.replace("negate: 0\n", "negate:\t0\t# no\nit's:\t'a\ttab'\n").replace("0.65\n", "0.65\t\n"),
         "{image: m.pgm, resolution: 0.5, origin: [1.0,\n -2, 0], negate: off, occupied_thresh: .65, free_thresh: .196}",

@@ -1,0 +1,225 @@
+"""The command that draws: maps in the plane, and maps and points in space as solids or as a slice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hexmap.cli import clouds
+from hexmap.cli.console import check_outputs, say, warn, wrote
+from hexmap.cli.viewing import LevelOption, MinHits, MinRatio, rule_of
+
+if TYPE_CHECKING:
+    from hexmap.maps.state_rule import States
+    from hexmap.poses.trajectory import Trajectory
+
+_NO_OFFSET = (0.0, 0.0, 0.0)
+_DRAWINGS = (".svg", ".pdf")  # that hold shapes, not pixels: they show a map in space from above
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What is to be drawn.
+
+    Attributes:
+        states: the cells of a map, or those of points, which are all occupied.
+        words: what to say of it.
+        offset: (n,) metres, where the cell 0 of the lattice has its centre.
+    """
+
+    states: States
+    words: str
+    offset: tuple[float, ...] = _NO_OFFSET
+
+
+def parse_height(text: str) -> float:
+    """Return the height, metres, of a slice such as ``z=1.2``."""
+    import math
+
+    axis, equals, number = text.rpartition("=")
+    try:
+        height = float(number)
+    except ValueError:
+        height = math.nan
+    if axis.strip().lower() not in ("", "z") or (equals and not axis.strip()) or not math.isfinite(height):
+        raise typer.BadParameter(f"a slice is at a height such as z=1.2, not {text!r}")
+    return height
+
+
+def show(
+    source: Annotated[
+        Path, typer.Argument(help="A map, of hexmap or of others, or points: PCD, PLY, text, KITTI .bin, NPY.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Picture (.png, .svg, .pdf); in space the mesh: .ply, .glb."),
+    ] = None,
+    level: LevelOption = 0,
+    trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
+    min_hits: MinHits = None,
+    min_ratio: MinRatio = None,
+    lattice: Annotated[
+        str | None, typer.Option(help="Lattice of points: Z3, D3, D3*; or of a map of others.", show_default="D3, Z3")
+    ] = None,
+    volume: clouds.Volume = None,
+    resolution: clouds.Resolution = None,
+    view: Annotated[tuple[float, float], typer.Option(help="Azimuth and elevation of the eye, degrees.")] = (-120, 35),
+    cut_above: Annotated[float | None, typer.Option(help="Take off cells above this height, m.")] = None,
+    slice: Annotated[
+        Any, typer.Option("--slice", parser=parse_height, metavar="z=M", help="Draw a horizontal slice at this height.")
+    ] = None,
+    viewer: Annotated[bool, typer.Option(help="Open a window (needs the open3d extra).")] = False,
+    format: clouds.Format = None,
+    units: clouds.Units = "m",
+    axes: clouds.Axes = "xyz",
+    min_range: clouds.MinRange = 0.0,
+    max_range: clouds.MaxRange = None,
+    crop: clouds.Crop = None,
+    unique: clouds.Unique = False,
+    sample: clouds.Sample = None,
+    seed: clouds.Seed = 0,
+) -> None:
+    """Draw a map with its true cells: flat, or in space as shaded polyhedra or a slice of them."""
+    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.grids.open_grid import is_grid
+
+    if output is None and not viewer:
+        raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
+    check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
+    poses = None
+    if trajectory is not None:
+        from hexmap.io.trajectories import read_tum
+
+        poses = read_tum(trajectory)
+    size = clouds.cell_size(resolution, volume, None, 3)
+    if is_parquet(source):
+        scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None)
+    elif is_grid(source):
+        scene = _map_of_others(source, lattice, size)
+    else:
+        scene = _points(
+            source, lattice, size, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range,
+            crop=crop, unique=unique, sample=sample, seed=seed,
+        )  # fmt: skip
+    drawn = output is not None and output.suffix.lower() in _DRAWINGS and scene.offset == _NO_OFFSET
+    if scene.states.occupied.lattice.dim == 2 or (drawn and slice is None and not viewer):
+        _show_flat(source, scene, output, poses, slice, viewer)
+    elif slice is not None:
+        _show_slice(scene, slice, output, poses, viewer)
+    else:
+        _show_solids(scene, output, view, cut_above, poses, viewer)
+
+
+def _own_map(map: Path, level: int, min_hits: int | None, min_ratio: float | None, about_points: bool) -> _Scene:
+    """Return a level of a map of hexmap."""
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io.map_file import load_map
+
+    if about_points:
+        raise ArgumentError(f"{map}: a map has its lattice; --lattice, --volume and --resolution are for points")
+    loaded = load_map(map)
+    states = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level)
+    return _Scene(states, f"level {level}, {states.occupied.lattice.resolution:g} m")
+
+
+def _map_of_others(path: Path, lattice: str | None, size: float | None) -> _Scene:
+    """Return a map of others on its own squares or cubes, or on the lattice asked for."""
+    import numpy as np
+
+    from hexmap.io.grids.open_grid import open_grid
+    from hexmap.lattice.lattice import Lattice
+    from hexmap.maps.cell_state import CellState
+    from hexmap.maps.state_rule import States
+    from hexmap.maps.voxel_list import VoxelList
+
+    grid = open_grid(path)
+    own = f"Z{grid.dim}"
+    if lattice is not None or size is not None or grid.yaw != 0.0 or grid.dim == 2:
+        on = Lattice.named(lattice or own, size or grid.cell)
+        return _Scene(grid.to_states(on), f"{on.title} cells of {on.resolution:g} m, over cells of {grid.cell:g} m")
+    on = Lattice.named(own, grid.cell)
+    occupied, free = (
+        VoxelList.from_cells(np.argwhere(grid.states == state.value), on)
+        for state in (CellState.OCCUPIED, CellState.FREE)
+    )
+    offset = tuple((grid.origin + 0.5 * grid.cell).tolist())
+    return _Scene(States(occupied, free), f"its own cells of {grid.cell:g} m", offset)
+
+
+def _points(source: Path, lattice: str | None, size: float | None, **reading: Any) -> _Scene:
+    """Return the cells of the points of a file."""
+    from hexmap.base.errors import ArgumentError
+    from hexmap.lattice.lattice import Lattice, default_name
+    from hexmap.maps.state_rule import States
+    from hexmap.maps.voxel_list import VoxelList
+
+    if size is None:
+        raise ArgumentError(f"{source}: say how large the cells of points are: --volume or --resolution")
+    points, _, warnings = clouds.read_cloud(source, None, cells=size, **reading)
+    for text in warnings:
+        warn(text)
+    on = Lattice.named(lattice or default_name(points.shape[1]), size)
+    if on.dim != points.shape[1]:
+        raise ArgumentError(
+            f"{source}: the points are of dimension {points.shape[1]}, the lattice {on.name} of {on.dim}"
+        )
+    cells = VoxelList.from_points(points, on)
+    return _Scene(States(cells, VoxelList.empty(on)), f"{len(points):,} points in cells of {size:g} m")
+
+
+def _show_flat(
+    source: Path, scene: _Scene, output: Path | None, poses: Trajectory | None, height: float | None, viewer: bool
+) -> None:
+    """Draw a map in the plane, or one in space from above."""
+    from hexmap.base.errors import ArgumentError
+    from hexmap.drawing.map_drawing import draw_states
+
+    if viewer or height is not None or output is None:
+        what = "--slice" if height is not None else "--viewer"
+        raise ArgumentError(f"{source}: {what} is for maps in space, and this one is in the plane")
+    draw_states(scene.states, output, poses)
+    wrote(output, scene.words)
+
+
+def _show_slice(scene: _Scene, height: float, output: Path | None, poses: Trajectory | None, viewer: bool) -> None:
+    """Draw a horizontal slice of a map in space."""
+    from hexmap.drawing.slice_drawing import draw_slice
+
+    if viewer or output is None:
+        raise typer.BadParameter("a slice is a picture: --slice goes with --output and without --viewer")
+    draw_slice(scene.states, height, output, trajectory=poses, offset=scene.offset)
+    wrote(output, f"{scene.words}, slice at z = {height:g} m")
+
+
+def _show_solids(
+    scene: _Scene,
+    output: Path | None,
+    view: tuple[float, float],
+    cut_above: float | None,
+    poses: Trajectory | None,
+    viewer: bool,
+) -> None:
+    """Draw the occupied cells of a map in space, save them as a mesh, or open a window."""
+    import numpy as np
+
+    from hexmap.drawing.solids.draw_solids import Cut, draw_solids, view_solids
+    from hexmap.drawing.solids.mesh import mesh_of_cells
+    from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
+
+    cells = scene.states.occupied
+    line = None if poses is None else poses.positions
+    mesh = None
+    if output is not None and output.suffix.lower() in MESH_SUFFIXES:
+        mesh = mesh_of_cells(cells).moved(np.array(scene.offset))
+        wrote(save_mesh(output, mesh, line), f"{scene.words}, mesh of {len(cells):,} cells")
+    elif output is not None:
+        cut: Any = "auto" if cut_above is None else Cut(above=cut_above)
+        draw_solids(cells, output, view=view, cut=cut, trajectory=line, offset=scene.offset)
+        wrote(output, f"{scene.words}, {len(cells):,} cells, {cells.lattice.title}")
+    if viewer:
+        if line is not None:
+            say("the window shows no trajectory; --output does")
+        view_solids(mesh or mesh_of_cells(cells).moved(np.array(scene.offset)))
