@@ -65,7 +65,9 @@ class LidarSettings:
     def make_builder(self) -> MapBuilder:
         """Return the empty builder that the settings describe."""
         limit = limit_of(self.max_range)
-        return MapBuilder(self.make_lattice(), self.levels, min_range=self.min_range, max_range=limit)
+        return MapBuilder(
+            self.make_lattice(), self.levels, min_range=self.min_range, max_range=limit, spare_hits=True
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain JSON values."""

@@ -23,8 +23,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
-    # Before numpy is loaded. The matrices here are small: threads in the algebra would only wait for one another, and sum
-    # in an order that depends on how many processors there are.
+    # Before numpy is loaded. The matrices here are small: threads in the algebra would only wait for one another, and
+    # sum in an order that depends on how many processors there are.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     interrupted = 0

@@ -49,14 +49,16 @@ def build(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP, or a folder of PCD, PLY, .bin or NPY scans of a "
-            "LiDAR; several of one place are mapped together.",
+            help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP, or a folder of a LiDAR's scans (PCD, PLY, "
+            ".bin, NPY); several of one place are mapped together.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
-    lattice: Annotated[str | None, typer.Option(help="Z2 or A2; of a LiDAR D3, D3*, Z3.", show_default="A2, D3")] = None,
+    lattice: Annotated[
+        str | None, typer.Option(help="Z2 or A2; for a LiDAR Z3, D3 or D3*.", show_default="A2, D3")
+    ] = None,
     resolution: Annotated[
-        float | None, typer.Option(help="Side, m, of the square as large as a cell.", show_default="0.05, 0.1")
+        float | None, typer.Option(help="Side, m, of the square (cube) as large as a cell.", show_default="0.05, 0.1")
     ] = None,
     levels: Annotated[int | None, typer.Option(help="Levels at doubling resolution.", show_default="3")] = None,
     trajectory: Annotated[Path | None, typer.Option(help="Where to write the poses (TUM).")] = None,

@@ -91,7 +91,7 @@ def build_lidar(
     if outputs.picture is not None:
         from hexmap.drawing.solids.draw_solids import draw_solids
 
-        draw_solids(result.map.state(settings.rule).occupied, outputs.picture)
+        draw_solids(result.map.state(settings.rule).occupied, outputs.picture, trajectory=result.poses)
         wrote(outputs.picture, "picture")
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.localise_in_space import LocaliseOutputs, localise_in_space
 from hexmap.cli.log_options import (
     AngleMin,
     AngleStep,
@@ -28,10 +29,12 @@ if TYPE_CHECKING:
 
 __all__ = ["localise"]
 
+_NEEDS = {2: "a laser log needs one of the plane", 3: "a LiDAR's log needs one of space"}
+
 
 def localise(
     map: Annotated[Path, typer.Argument(help="A map of hexmap (.parquet), or a grid map of others.")],
-    log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP.")],
+    log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS bag, MCAP, or a LiDAR's.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The poses to write (TUM).")],
     start: Annotated[
         tuple[float, float, float] | None, typer.Option(help="Where the robot starts, if known: x m, y m, degrees.")
@@ -67,6 +70,7 @@ def localise(
     """
     from hexmap.base.errors import ArgumentError
     from hexmap.drawing.map_drawing import check_picture
+    from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.logs.log import LogSettings
     from hexmap.io.logs.open_log import open_log
     from localisation.localiser.settings import LocaliserSettings
@@ -75,6 +79,18 @@ def localise(
     check_outputs({"--output": output, "--csv": csv, "--picture": picture}, (*inputs_of(map), log))
     if picture is not None:
         check_picture(picture)
+    if is_lidar_log(log):
+        planar = {
+            "--mount": mount, "--no-odometry": None if odometry else True, "--search-metres": search_metres,
+            "--search-degrees": search_degrees, "--angle-min": angle_min, "--angle-step": angle_step,
+            "--no-return": no_return, "--laser": laser, "--odometry-topic": odometry_topic,
+        }  # fmt: skip
+        for option in (name for name, value in planar.items() if value is not None):
+            raise ArgumentError(f"{log} is the log of a LiDAR, and {option} is for that of a planar laser")
+        states = _states(map, level, lattice, resolution, min_hits, min_ratio, dim=3)
+        ranges = {"min_range": min_range or None, "max_range": max_range, "log": {"topic": scan_topic}}
+        localise_in_space(log, map, states, ranges, start, time_limit, LocaliseOutputs(output, csv, picture))
+        return
     given = {
         "search_metres": search_metres,
         "search_radians": None if search_degrees is None else math.radians(search_degrees),
@@ -126,11 +142,12 @@ def _states(
     resolution: float | None,
     min_hits: int | None,
     min_ratio: float | None,
+    dim: int = 2,
 ) -> States:
     """Return the occupied and free cells of a map of hexmap or of others.
 
     Raises:
-        ArgumentError: the map is not of the plane, or an option is about the other kind of map.
+        ArgumentError: the map is not of the log's dimension, or an option is about the other kind of map.
     """
     from hexmap.base.errors import ArgumentError, FormatError
     from hexmap.io.file_kinds import is_parquet
@@ -151,14 +168,14 @@ def _states(
         states = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level or 0)
     else:
         grid = open_grid(path)
-        if grid.dim != 2:
-            raise ArgumentError(f"{path}: the map is of dimension {grid.dim}; a laser log needs one of the plane")
-        on = Lattice.named(lattice or "A2", resolution or grid.cell)
-        if on.dim != 2:
-            raise ArgumentError(f"{path}: the map is of the plane, the lattice {on.name} is not; take Z2 or A2")
+        if grid.dim != dim:
+            raise ArgumentError(f"{path}: the map is of dimension {grid.dim}; {_NEEDS[dim]}")
+        on = Lattice.named(lattice or ("A2" if dim == 2 else "D3"), resolution or grid.cell)
+        if on.dim != dim:
+            raise ArgumentError(f"{path}: the map is of dimension {dim}, the lattice {on.name} is not")
         states = grid.to_states(on)
-    if states.occupied.lattice.dim != 2:
-        raise ArgumentError(f"{path}: the map is of space; a laser log needs one of the plane")
+    if states.occupied.lattice.dim != dim:
+        raise ArgumentError(f"{path}: the map is of dimension {states.occupied.lattice.dim}; {_NEEDS[dim]}")
     if len(states.occupied) == 0:
         raise FormatError(f"{path}: no cell of the map is occupied, nothing can be found in it")
     return states

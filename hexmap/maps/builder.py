@@ -48,6 +48,8 @@ class MapBuilder:
                 cells up to this range.
             clear_no_return: metres that a beam without return clears; 0, nothing, because such a
                 beam often met a black or slanted surface close by.
+            spare_hits: whether no beam of a scan clears a cell that another beam of it hit: see
+                :meth:`~hexmap.maps.counter.CellCounter.fuse`.
 
         Raises:
             ArgumentError: a number is out of its range.
@@ -62,6 +64,7 @@ class MapBuilder:
         self._min_range = min_range
         self._max_range = max_range
         self._clear_no_return = clear_no_return
+        self._spare_hits = spare_hits
         self.scans = 0
 
     @property
@@ -99,7 +102,7 @@ class MapBuilder:
         # The finest level first: what is in range there and not too much is so on all levels, and if it is not, nothing
         # has been counted yet.
         for counter in self._counters:
-            counter.fuse(T_map_scan.translation, ends, len(points))
+            counter.fuse(T_map_scan.translation, ends, len(points), spare_hits=self._spare_hits)
         self.scans += 1
 
     def add_hits(self, scan: Scan, T_map_scan: Pose) -> None:

@@ -17,12 +17,13 @@ from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError, Trajec
 from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
-from hexmap.poses.rotations import exponential
+from hexmap.poses.rotations import angles
 from hexmap.poses.scan import Scan
 from hexmap.poses.trajectory import Trajectory
 from localisation.lidar_settings import LidarSettings
 from localisation.mapping.loop_closed_map import Phase, silent
 from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, provenance
+from localisation.matching.gravity import levelling
 from localisation.matching.surfaces import SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry
 from localisation.odometry.sweep import Velocity, deskewed
@@ -30,16 +31,8 @@ from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from localisation.slam.settings import LoopSettings
 
-__all__ = ["LidarMappingResult", "build_lidar_map", "fuse_lidar_log", "up_direction"]
+__all__ = ["LidarMappingResult", "build_lidar_map", "fuse_lidar_log"]
 
-# Floors and ceilings are planes whose normals lean no farther than this from the first scan's z axis, radians, and
-_FARTHEST_LEAN = math.radians(45.0)
-# agree with one another to this.
-_SAME_LEAN = math.radians(3.0)
-# Planes that make a floor.
-_FLOOR_PLANES = 20
-# Normals that are compared, each with each.
-_COMPARED = 2000
 # In cells of the surfaces: the last drawing is a touch, not a search.
 _TOUCH = 0.3
 
@@ -128,9 +121,9 @@ def build_lidar_map(
     levelled = None
     turn = Pose.identity(3)
     if settings.level_floor:
-        up = up_direction(surfaces)
-        if up is not None:
-            turn, levelled = _levelling(up)
+        found = levelling(surfaces)
+        if found is not None:
+            turn, levelled = found, float(angles(found.rotation[None])[0])
     fuser = _Fuser(log, settings, on_pose)
     chosen = set(used)
     poses = [result.pose(k) for k in range(len(used))]
@@ -234,8 +227,8 @@ def fuse_lidar_log(
             f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {count} scans of {log.path}"
         )
     return LidarMappingResult(
-        map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, missed=0, skipped=skipped, mean_share=math.nan,
-        metres=fuser.recorder.metres, warnings=[*log.warnings, *unusable.warnings], levelled=None,
+        map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, missed=0, skipped=skipped,
+        mean_share=math.nan, metres=fuser.recorder.metres, warnings=[*log.warnings, *unusable.warnings], levelled=None,
         poses=Trajectory.from_poses(stamps, placed), slam=None,
     )  # fmt: skip
 
@@ -281,35 +274,6 @@ def _velocity(poses: list[Pose], stamps: FloatArray, k: int) -> Velocity | None:
         return None
     a, b = (k - 1, k) if k else (0, 1)
     return Velocity.between(poses[a].inverse() @ poses[b], float(stamps[b] - stamps[a]))
-
-
-def up_direction(surfaces: SurfaceMap) -> FloatArray | None:
-    """Return the unit normal (3,) that most floors and ceilings share, or None where there are hardly any."""
-    _, normals, _ = surfaces.planes()
-    normals = normals * np.where(normals[:, 2:] < 0.0, -1.0, 1.0)
-    normals = normals[normals[:, 2] > math.cos(_FARTHEST_LEAN)]
-    if len(normals) < _FLOOR_PLANES:
-        return None
-    some = normals[np.linspace(0, len(normals) - 1, min(_COMPARED, len(normals))).astype(np.int64)]
-    agree = (some @ some.T > math.cos(_SAME_LEAN)).sum(axis=1)
-    up = some[int(np.argmax(agree))]
-    for _ in range(5):
-        near = normals[normals @ up > math.cos(_SAME_LEAN)]
-        if len(near) < _FLOOR_PLANES:
-            return None
-        up = near.mean(axis=0)
-        up /= np.linalg.norm(up)
-    return np.asarray(up)
-
-
-def _levelling(up: FloatArray) -> tuple[Pose, float]:
-    """Return the smallest turn that makes ``up`` (3,) the z axis, and its angle in radians."""
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    angle = math.atan2(sine, float(up[2]))
-    if sine < 1e-12:
-        return Pose.identity(3), 0.0
-    return Pose(exponential(axis / sine * angle), np.zeros(3)), angle
 
 
 def _in_space(pose: Pose) -> Pose:

@@ -174,7 +174,7 @@ class LidarOdometry:
 
     @classmethod
     def first_velocity(cls, settings: LidarSettings, scans: Sequence[Scan]) -> Velocity | None:
-        """Return the sensor's velocity at the first of two scans, without which that would stay skewed; None if unknown.
+        """Return the sensor's velocity at the first of two scans, which would stay skewed without; None if unknown.
 
         Points with a time each are wanted, and a second scan not long after.
         """
@@ -277,6 +277,18 @@ class LidarOdometry:
         if self._stamp is None:
             return None
         return Velocity.between(self._pose.inverse() @ pose, stamp - self._stamp)
+
+    def begin_at(self, scan: Scan, pose: Pose, surfaces: SurfaceMap | None) -> None:
+        """Begin at a scan whose pose T_map_sensor is known, on the surfaces of a map."""
+        points = self.in_range(scan.points)
+        self._pose, self._stamp = pose, scan.stamp
+        self._recent.clear()
+        self._begin(points if len(points) else np.ones((1, 3)))
+        if surfaces is not None:
+            self.surfaces = surfaces
+        thin = first_of_each_cell(points, self._thin)
+        self._recent.append((thin, pose))
+        self._begin_kiss_icp()
 
     def move_to(self, pose: Pose) -> None:
         """Go on from another pose of the sensor at the last scan: the map has moved under it."""

@@ -1,0 +1,329 @@
+"""Where a LiDAR is in a known map of space: found without a start pose, tracked, and found again when lost.
+
+A scan is levelled by the floors and ceilings that it sees, searched for by the certified matcher over all yaws on
+coarse cells, drawn onto the map's surfaces, and then asked how many of its points lie on occupied cells of the finest
+level and how many where the map is free. In a foreign building a search finds something, too; that question tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.errors import ArgumentError, BoundsError, LogError
+from hexmap.io.lidar.lidar_log import LidarLog
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.state_rule import States
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.pose import Pose
+from hexmap.poses.scan import Scan
+from localisation.lidar_settings import LidarSettings
+from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
+from localisation.localiser.localise_log import Track
+from localisation.matching.global_matcher import GlobalMatcher, spread_points
+from localisation.matching.gravity import levelling
+from localisation.matching.match import Match
+from localisation.matching.pyramid import OccupancyPyramid
+from localisation.matching.score import coincidence
+from localisation.matching.search_region import SearchRegion
+from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
+from localisation.odometry.lidar_odometry import LidarOdometry, surface_lattice
+from localisation.slam.lidar_loops import drawn_covariance
+
+__all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_csv_line"]
+
+# Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
+_LEAST_CELLS = 3
+# Points that are searched with, and by how much floors may mislead about what is up, radians.
+_POINTS, _TILT = 300, math.radians(2.0)
+# Below this share of the points no place is looked for: of a scan in its own map nine in ten coincide, of one in
+# another building no more than half do.
+_LEAST_SHARE = 0.6
+# A scan belongs where so many of its points lie on occupied cells or beside them, and so few where the map is free. A
+# third of what is seen may have changed. In foreign buildings a third lay on something, and half of it in free space.
+_LEAST_MET, _MOST_CONTRADICTED = 0.65, 0.25
+# Two places are told apart where one has so much more of the scan's points on occupied cells.
+_MARGIN = 0.05
+# Places nearer than this are the same, metres and radians.
+_APART = (1.0, math.radians(10.0))
+# Scans in a row that do not belong where they were tracked to: then the sensor is lost.
+_PATIENCE = 3
+# Metres and radians around a start pose.
+_START = (1.0, math.radians(20.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A pose that was verified.
+
+    Attributes:
+        pose: T_map_sensor.
+        match: what the search said.
+        drawn: what the surfaces said.
+        met: share of points on occupied cells.
+        contradicted: share of points where the map is free.
+    """
+
+    pose: Pose
+    match: Match | None
+    drawn: Drawn
+    met: float
+    contradicted: float
+
+    @property
+    def belongs(self) -> bool:
+        return self.drawn.converged and self.met >= _LEAST_MET and self.contradicted <= _MOST_CONTRADICTED
+
+
+class LidarLocaliser:
+    """Finds a LiDAR in a map of space and follows it, on any lattice.
+
+    Attributes:
+        times_lost: how often a pose was given up.
+    """
+
+    def __init__(
+        self,
+        states: States,
+        settings: LidarSettings | None = None,
+        *,
+        start: tuple[float, float, float] | None = None,
+        time_limit: float | None = None,
+    ) -> None:
+        """Take a map.
+
+        Args:
+            states: its occupied and free cells.
+            settings: of the LiDAR: ranges; lattice and resolution are the map's.
+            start: x, y (metres) and yaw (radians) of the sensor at the first scan, where they are known.
+            time_limit: seconds that a search may take; what it has not finished by then is no answer.
+
+        Raises:
+            ArgumentError: a map of the plane, or without an occupied cell.
+            MissingDependencyError: kiss-icp cannot be loaded.
+        """
+        lattice = states.occupied.lattice
+        if lattice.dim != 3:
+            raise ArgumentError(f"a LiDAR is found in a map of space, and {lattice.name} is a lattice of the plane")
+        if len(states.occupied) == 0:
+            raise ArgumentError("no cell of the map is occupied, nothing can be found in it")
+        self._states, self._settings = states, settings or LidarSettings()
+        self._start, self._time_limit = start, time_limit
+        self._odometry: LidarOdometry | None = None
+        self._surfaces: SurfaceMap | None = None
+        self._bad = 0
+        self.times_lost = 0
+
+    # ------------------------------------------------------------------ the map
+
+    def _prepare(self, points: FloatArray) -> None:
+        """Make the tables of the map for what the sensor sees."""
+        fine = self._states.occupied.lattice
+        coarse, _ = surface_lattice(fine, points)
+        centres = fine.centres(self._states.occupied.index)
+        self._surfaces = SurfaceMap(coarse)
+        self._surfaces.add(centres)
+        cells = VoxelList.from_points(centres, coarse)
+        cells = cells.select(cells.counts >= _LEAST_CELLS) if (cells.counts >= _LEAST_CELLS).any() else cells
+        inside = coarse.centres(cells.index)
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        known = VoxelList.from_points(fine.centres(self._states.free.index), coarse).merge(cells)
+        at = coarse.centres(known.index)
+        known = known.select(((at >= low) & (at <= high)).all(axis=1))
+        self._matcher = GlobalMatcher(OccupancyPyramid(coincidence(cells)), coincidence(known))
+        self._low, self._high = low, high
+        index = self._states.occupied.index.astype(np.int64)
+        near = np.concatenate([index, *[index + o for o in fine.neighbours]])
+        self._near = VoxelList.from_cells(near, fine)
+
+    def _verify(self, thin: FloatArray, start: Pose, match: Match | None, drawn: Drawn | None = None) -> _Place:
+        """Draw a scan onto the surfaces and ask how it agrees with occupied and free cells."""
+        assert self._surfaces is not None
+        drawn = drawn or self._surfaces.draw(thin, start, farthest=2.0)
+        index = self._states.occupied.lattice.quantise(drawn.pose.apply(thin))
+        met = self._near.contains(index)
+        free = ~met & self._states.free.contains(index)
+        return _Place(drawn.pose, match, drawn, float(met.mean()), float(free.mean()))
+
+    # ------------------------------------------------------------------ scan by scan
+
+    def add(self, scan: Scan) -> Estimate:
+        """Take the next scan and return what is known after it.
+
+        Raises:
+            ArgumentError: a scan of the plane.
+            BoundsError: a point is out of range.
+        """
+        if scan.dim != 3:
+            raise ArgumentError("a LiDAR's scan has points in space, not in the plane")
+        if self._surfaces is None:
+            squared = (scan.points**2).sum(axis=1)
+            points = scan.points[squared >= self._settings.min_range**2]
+            self._prepare(points if len(points) else np.ones((1, 3)))
+        if self._odometry is None:
+            return self._find(scan)
+        return self._follow(scan)
+
+    def _follow(self, scan: Scan) -> Estimate:
+        """Track: draw the scan onto the map where the motion puts it."""
+        assert self._odometry is not None
+        sweep = self._odometry.register(scan)
+        place = None
+        if not sweep.missed and sweep.drawn is not None and len(sweep.points):
+            place = self._verify(sweep.points, sweep.pose, None, sweep.drawn)
+        if place is not None and place.belongs:
+            self._bad = 0
+            return self._answer(scan, place, len(sweep.points))
+        self._bad += 1
+        if self._bad < _PATIENCE:
+            return Estimate(scan.stamp, scan.line, TrackState.lost)
+        self.times_lost += 1
+        self._odometry = None
+        return self._find(scan)
+
+    def _answer(self, scan: Scan, place: _Place, total: int) -> Estimate:
+        covariance = drawn_covariance(place.drawn)
+        turn = np.zeros((6, 6))
+        turn[:3, :3] = turn[3:, 3:] = place.pose.rotation
+        score = round(place.met * total)
+        return Estimate(
+            scan.stamp, scan.line, TrackState.tracking, place.pose, turn @ covariance @ turn.T,
+            [Hypothesis(place.pose, score, 1.0)], score, total, place.met, place.contradicted,
+        )  # fmt: skip
+
+    def _find(self, scan: Scan) -> Estimate:
+        """Look for a scan in the whole map."""
+        odometry = LidarOdometry(self._settings)
+        points = odometry.in_range(scan.points)
+        lattice = self._matcher.lattice
+        thin = first_of_each_cell(points, lattice.scaled(1.0 / 3.0))
+        lost = Estimate(scan.stamp, scan.line, TrackState.lost)
+        if len(thin) < 10:
+            return lost
+        level = self._level(points, lattice)
+        match = self._matcher.match(
+            spread_points(level.apply(points), lattice, _POINTS), self._region(), apart=_APART, least=_LEAST_SHARE,
+            refine=False, beams=False, information=False, time_limit=self._time_limit,
+        )  # fmt: skip
+        if match is None or not match.certified:
+            return lost
+        best = self._verify(thin, match.pose @ level, match)
+        places = [best]
+        if match.runner_up is not None:
+            places.append(self._verify(thin, match.runner_up.pose @ level, match))
+        places = [p for p in places if p.belongs]
+        places.sort(key=lambda p: -p.met)
+        if not places:
+            return lost
+        first, total = places[0], len(thin)
+        if len(places) > 1 and places[1].met > first.met - _MARGIN and _is_apart(first.pose, places[1].pose):
+            found = [Hypothesis(p.pose, round(p.met * total), 0.5) for p in places]
+            return Estimate(
+                scan.stamp, scan.line, TrackState.ambiguous, None, None, found, found[0].score, total, first.met,
+                first.contradicted,
+            )  # fmt: skip
+        odometry.begin_at(scan, first.pose, self._surfaces)
+        self._odometry, self._start, self._bad = odometry, None, 0
+        return self._answer(scan, first, total)
+
+    def _region(self) -> SearchRegion:
+        if self._start is None:
+            return SearchRegion(tilt=_TILT)
+        x, y, yaw = self._start
+        low = np.array([x - _START[0], y - _START[0], self._low[2]])
+        high = np.array([x + _START[0], y + _START[0], self._high[2]])
+        return SearchRegion(low, high, yaw, _START[1], _TILT)
+
+    def _level(self, points: FloatArray, lattice: Lattice) -> Pose:
+        surfaces = SurfaceMap(lattice)
+        surfaces.add(points)
+        return levelling(surfaces) or Pose.identity(3)
+
+
+def _is_apart(a: Pose, b: Pose) -> bool:
+    off = a.inverse() @ b
+    yaw = math.atan2(off.rotation[1, 0], off.rotation[0, 0])
+    return float(np.linalg.norm(off.translation)) > _APART[0] or abs(yaw) > _APART[1]
+
+
+def localise_lidar_log(
+    log: LidarLog,
+    states: States,
+    settings: LidarSettings | None = None,
+    *,
+    start: tuple[float, float, float] | None = None,
+    time_limit: float | None = None,
+    on_estimate: Callable[[Estimate], None] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Track:
+    """Localise a LiDAR in a map along a log; see :class:`LidarLocaliser`.
+
+    Raises:
+        LogError: the log cannot be read, has no scan, or none that can be used.
+    """
+    localiser = LidarLocaliser(states, settings, start=start, time_limit=time_limit)
+    scans = placed = unusable = 0
+    first_bad, scans_until, metres = "", None, 0.0
+    last: Pose | None = None
+    for scan in log:
+        try:
+            estimate = localiser.add(scan)
+        except BoundsError as error:
+            unusable += 1
+            first_bad = first_bad or f"scan {scan.line}: {error}"
+            continue
+        scans += 1
+        if estimate.pose is not None:
+            placed += 1
+            scans_until = scans_until or scans
+            if last is not None:
+                metres += math.dist(last.translation, estimate.pose.translation)
+        last = estimate.pose
+        if on_estimate is not None:
+            on_estimate(estimate)
+        if progress is not None:
+            progress(scans)
+    if unusable and not scans:
+        raise LogError(f"{log.path}: no scan can be used, {first_bad}")
+    warnings = list(log.warnings)
+    if unusable:
+        warnings.append(f"{log.path}: {unusable} scans cannot be used and are left out, the first at {first_bad}")
+    return Track(scans, placed, scans_until, 0.0, localiser.times_lost, metres, warnings)
+
+
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_VARIANCES = ("var_x", "var_y", "var_z", "var_rx", "var_ry", "var_rz")
+
+
+def space_csv_header() -> str:
+    """Return the names of the columns of :func:`space_csv_line`."""
+    second = tuple(f"runner_up_{name}" for name in ("score", *_POSE))
+    names = ("stamp", "line", "state", *_POSE, "score", "total", "overlap", "contradicted", *_VARIANCES, *second)
+    return ",".join(names)
+
+
+def space_csv_line(estimate: Estimate) -> str:
+    """Return what is known after a scan as a line: metres, quaternion, variances in the map's axes.
+
+    The pose is the tracked one, or the likeliest of several; the runner-up is the next one.
+    """
+    found = estimate.hypotheses
+    cells: list[Any] = [f"{estimate.stamp:.6f}", "" if estimate.line is None else estimate.line, estimate.state.value]
+    cells += _pose_cells(found[0].pose if found else None)
+    cells += [estimate.score, estimate.total, f"{estimate.overlap:.4f}", f"{estimate.contradicted:.4f}"]
+    C = estimate.covariance
+    cells += [""] * 6 if C is None else [f"{v:.9g}" for v in np.diag(C).tolist()]
+    second = found[1] if len(found) > 1 else None
+    cells += ["" if second is None else second.score, *_pose_cells(second.pose if second else None)]
+    return ",".join(map(str, cells))
+
+
+def _pose_cells(pose: Pose | None) -> list[str]:
+    if pose is None:
+        return [""] * len(_POSE)
+    return [f"{v:.6f}" for v in (*pose.translation.tolist(), *pose.quaternion().tolist())]
