@@ -19,6 +19,7 @@ from hexmap.cli.log_options import (
     Mount,
     NoReturn,
     OdometryTopic,
+    ScanFrame,
     ScanTopic,
     log_values,
 )
@@ -92,6 +93,7 @@ def build(
     laser: LaserName = None,
     scan_topic: ScanTopic = None,
     odometry_topic: OdometryTopic = None,
+    scan_frame: ScanFrame = None,
 ) -> None:
     """Build a map from a laser log: match every scan, or take given poses, and fuse."""
     from hexmap.base.errors import ArgumentError, TrajectoryError
@@ -141,7 +143,7 @@ def build(
         search_level=search_level,
         use_odometry=odometry,
         rule={"min_hits": min_hits, "min_ratio": min_ratio},
-        log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic),
+        log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic, scan_frame),
     )
     sources = [open_log(log, settings.log) for log in logs]
     given = read_tum(poses) if poses is not None else None

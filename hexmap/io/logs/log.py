@@ -40,7 +40,8 @@ class LogSettings:
             (ROBOTLASER2, else RLASER), or one of the four by name. None: front, or rear where
             the log has no front laser.
         scan_topic: topic of the sensor_msgs/LaserScan in a bag. None: the only one, or of
-            several the only one whose last name is ``scan``.
+            several the only one whose last name is ``scan``; sensor_msgs/MultiEchoLaserScan where there is none.
+        scan_frame: frame of the scans in a bag, where one topic has scans of several lasers. None: the first scan's.
         odometry_topic: topic of the nav_msgs/Odometry in a bag. None: the only one, or of
             several the only one whose last name is ``odom``; without any, tf.
     """
@@ -51,6 +52,7 @@ class LogSettings:
     laser: str | None = None
     scan_topic: str | None = None
     odometry_topic: str | None = None
+    scan_frame: str | None = None
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -1,0 +1,75 @@
+"""Open a bag of any kind: one file, or the files of a folder in order."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+from hexmap.base.errors import FileAccessError, TooLargeError
+from hexmap.base.text import reason
+from hexmap.io.logs.bag_sources import BagSource, IndexedBag, SplitBag, folder_files
+
+__all__ = ["open_bag"]
+
+
+def open_bag(path: Path, kind: str, parts: list[Path] | None) -> BagSource:
+    """Open a bag.
+
+    Args:
+        path: the file or the folder.
+        kind: "rosbag1", "rosbag2" or "mcap".
+        parts: the files of a folder without metadata, in order.
+
+    Raises:
+        FileAccessError: a part of the recording is missing.
+        TooLargeError: a chunk inflates to more than may be.
+        Exception: of many kinds, where it is damaged beyond reading.
+    """
+    if parts is not None:
+        return _open_parts(path, kind, parts)
+    if path.is_dir() and kind == "mcap":
+        files, packed = folder_files(path)
+        if not packed:
+            return _open_parts(path, kind, files)
+    return _open_file(path, kind)
+
+
+def _open_parts(path: Path, kind: str, files: list[Path]) -> BagSource:
+    with contextlib.ExitStack() as stack:
+        parts: list[BagSource] = []
+        for file in files:
+            try:
+                parts.append(_open_file(file, kind))
+            except FileNotFoundError:
+                raise FileAccessError(f"{file}: no such file, a part of the recording {path}") from None
+            except TooLargeError:
+                raise
+            except Exception as error:
+                raise ValueError(f"{file.name}: {reason(error)}") from error
+            stack.callback(parts[-1].close)
+        # Nothing failed: they stay open.
+        stack.pop_all()
+    return SplitBag(parts, [file.stat().st_size for file in files])
+
+
+def _open_file(path: Path, kind: str) -> BagSource:
+    from hexmap.io.logs.bag_recovery import McapFile, UnindexedRosbag1
+
+    if kind == "mcap" and not path.is_dir():
+        mcap = McapFile(path)
+        if mcap.trouble and not mcap.topics:
+            raise ValueError(mcap.trouble)
+        return mcap
+    try:
+        return IndexedBag(path, kind)
+    except (ModuleNotFoundError, PermissionError, FileNotFoundError, TooLargeError):
+        raise
+    except Exception as error:
+        if kind != "rosbag1":
+            raise
+        why = reason(error)
+        source = UnindexedRosbag1(path)
+        if not source.topics:
+            raise
+        source.trouble = why
+        return source
