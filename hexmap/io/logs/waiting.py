@@ -1,4 +1,4 @@
-"""Scans of a bag wait for the odometry around them, and for the joints of a mount that moves."""
+"""Scans without odometry of their own wait for that around them, and for the joints of a mount that moves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _READINGS = 2048
 
 
 class Waiting:
-    """Gives each scan the odometry at its stamp, in the order of the bag."""
+    """Gives each scan the odometry at its stamp, in the order of the log."""
 
     def __init__(self, has_odometry: bool, joints: Joints | None) -> None:
         """Take what scans wait for.
