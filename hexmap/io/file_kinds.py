@@ -65,7 +65,7 @@ SCENARIO = _kind("a scenario", rb"version ")
 
 # Pictures.
 PNG = _kind("a PNG picture", rb"\x89PNG")
-PGM = _kind("a PGM picture", rb"P[25][\s#]")
+PGM = _kind("a PGM or PPM picture", rb"P[2356][\s#]")
 BMP = _kind("a BMP picture", rb"(?s:BM.{4}\x00{4})")
 JPEG = _kind("a JPEG picture", rb"\xff\xd8\xff")
 
@@ -111,7 +111,10 @@ def control_byte(head: bytes) -> int | None:
 def is_parquet(path: Path) -> bool:
     """Tell whether a file begins as Parquet does: then it is a map of ours, or is meant to be one."""
     try:
+        # A pipe would wait for ever to be opened, or be read by this alone.
+        if not path.is_file():
+            return False
         with path.open("rb") as handle:
             return PARQUET.begins(handle.read(4))
-    except OSError:
+    except (OSError, ValueError):  # a ValueError: a path with a null character
         return False

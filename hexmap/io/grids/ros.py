@@ -58,7 +58,7 @@ def parse(path: Path, data: bytes) -> GridMap:
         FormatError: naming the line of the YAML file, or what is wrong with the image.
         TooLargeError: the image has more pixels than a dense array may have cells.
     """
-    entries = read_entries(path, data)
+    entries = read_entries(path, data, (*_NEEDED, "mode"))
     for key in _NEEDED:
         if key not in entries:
             raise FormatError(f"{path}: no {key!r} in the file; a ROS map has {', '.join(_NEEDED)}")
