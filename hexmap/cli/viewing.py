@@ -166,6 +166,8 @@ def show(
     format: clouds.Format = None,
     units: clouds.Units = "m",
     axes: clouds.Axes = "xyz",
+    columns: clouds.ColumnNames = None,
+    offset: clouds.Offset = "auto",
     min_range: clouds.MinRange = 0.0,
     max_range: clouds.MaxRange = None,
     crop: clouds.Crop = None,
@@ -197,8 +199,8 @@ def show(
         if size is None:
             raise ArgumentError(f"{source}: say how large the cells of points are: --volume or --resolution")
         cells = _cells_of_points(
-            source, lattice, size, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range,
-            crop=crop, unique=unique, sample=sample, seed=seed,
+            source, lattice, size, format=format, units=units, axes=axes, columns=columns, offset=offset,
+            min_range=min_range, max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed,
         )  # fmt: skip
     _show_solids(cells, output, view, cut_above, viewer)
 
