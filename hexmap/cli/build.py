@@ -72,7 +72,9 @@ def build(
     checkpoint: Annotated[
         Path | None, typer.Option(help="Folder in which a run that is killed is found again and goes on.")
     ] = None,
-    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) to fuse at, instead of matching.")] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="Poses (TUM, KITTI or EuRoC) to fuse at, instead of matching.")
+    ] = None,
     associate: Annotated[
         Associate | None, typer.Option(help="How --poses go with scans.", show_default="order where the numbers agree")
     ] = None,
@@ -99,7 +101,7 @@ def build(
     from hexmap.base.errors import ArgumentError, TrajectoryError
     from hexmap.drawing.map_drawing import check_picture
     from hexmap.io.logs.open_log import open_log
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
 
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     check_outputs(
@@ -146,7 +148,7 @@ def build(
         log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic, scan_frame),
     )
     sources = [open_log(log, settings.log) for log in logs]
-    given = read_tum(poses) if poses is not None else None
+    given = read_trajectory(poses) if poses is not None else None
     if given is not None and not given.planar:
         raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
     first_run_note()

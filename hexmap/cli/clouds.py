@@ -181,7 +181,7 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
     import numpy as np
 
     from hexmap.io.logs.open_log import open_log
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
     from hexmap.poses.pose import Pose
     from hexmap.poses.scan import Scan
     from localisation.mapping.fuse_log import readings_at_poses
@@ -189,7 +189,7 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
     log = open_log(path)
     chunks = [
         (T_map_robot @ (log.mount or Pose.identity(2))).apply(scan.points)
-        for scan, T_map_robot in readings_at_poses(log, read_tum(poses))
+        for scan, T_map_robot in readings_at_poses(log, read_trajectory(poses))
         if T_map_robot is not None and isinstance(scan, Scan)
     ]
     return np.concatenate(chunks) if chunks else np.empty((0, 2)), list(log.warnings)

@@ -210,11 +210,11 @@ def _show_map(
 ) -> None:
     from hexmap.drawing.map_drawing import check_picture, draw_map
     from hexmap.io.map_file import load_map
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
 
     check_picture(output)
     loaded = load_map(map)
-    poses = read_tum(trajectory) if trajectory is not None else None
+    poses = read_trajectory(trajectory) if trajectory is not None else None
     draw_map(loaded, output, level=level, trajectory=poses, rule=rule_of(min_hits, min_ratio, loaded.sources()))
     wrote(output, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
 
