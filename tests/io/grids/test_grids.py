@@ -762,6 +762,12 @@ def octomap_bytes(tree: bytes, nodes: int, edge: float = 0.05) -> bytes:
     )
 
 
+def small_octree() -> bytes:
+    """The bytes of a small tree."""
+    tree, nodes, _ = octree(np.random.default_rng(3), 4, 3)
+    return octomap_bytes(tree, nodes)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_octrees_against_their_leaves(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
