@@ -68,8 +68,9 @@ def _read_kitti(path: str | os.PathLike[str]) -> Trajectory:
     table, lines = _read_table(path, _KITTI, "poses")
     matrices = table.reshape(-1, 3, 4)
     R = matrices[:, :, :3]
-    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    bad = ~(off <= 0.01) | ~(np.linalg.det(R) > 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        bad = ~(off <= 0.01) | ~(np.linalg.det(R) > 0.0)
     if bad.any():
         i = int(np.argmax(bad))
         raise TrajectoryError(f"{path}, line {lines[i]}: the first three columns of the matrix are no rotation")
@@ -179,7 +180,8 @@ def read_relations(path: str | os.PathLike[str]) -> Relations:
 
 
 def _check_quaternions(path: str | os.PathLike[str], quaternions: FloatArray, lines: list[int]) -> None:
-    norms = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):  # infinitely long is what they are
+        norms = np.linalg.norm(quaternions, axis=1)
     bad = ~(np.abs(norms - 1.0) <= 0.01)
     if bad.any():
         i = int(np.argmax(bad))

@@ -56,7 +56,8 @@ def read_ptx(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
         points = _rows(path, lines, begin, size, 3)
         seen = (points != 0.0).any(axis=1)
         unseen += size - int(np.count_nonzero(seen))
-        moved = points @ T[:3, :3] + T[3, :3]
+        with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is dropped later
+            moved = points @ T[:3, :3] + T[3, :3]
         if columns is None:
             parts.append(moved[seen])
         else:

@@ -65,7 +65,8 @@ def parse(path: Path, data: bytes) -> GridMap:
     states = np.full(tuple(int(s) for s in shape), CellState.UNKNOWN, np.uint8)
     walk(True, low, shape, states.reshape(-1))
     states.setflags(write=False)
-    origin = np.asarray((low - _CENTRE) * resolution)
+    with np.errstate(over="ignore"):  # a grid says what is wrong with an origin that is not finite
+        origin = np.asarray((low - _CENTRE) * resolution)
     return GridMap(states, resolution, origin, path=str(path), kind="octomap")
 
 

@@ -6,6 +6,7 @@ import contextlib
 import re
 import tempfile
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -65,7 +66,6 @@ class Decoder:
     def __init__(self) -> None:
         """Begin without definitions."""
         self._definitions: dict[tuple[str, bool], tuple[str, str]] = {}
-        self._stores: dict[tuple[str, bool], Any] = {}
 
     def define(self, kind: str, ros1: bool, language: str, definition: str) -> None:
         """Take the definition of a type.
@@ -85,28 +85,29 @@ class Decoder:
         Raises:
             Exception: of many kinds, where message and definition do not go together.
         """
-        store = self._stores.get((kind, ros1))
-        if store is None:
-            store = self._stores[kind, ros1] = self._store(kind, ros1)
+        store = _type_store(kind, ros1, *self._definitions.get((kind, ros1), ("", "")))
         return store.deserialize_ros1(raw, kind) if ros1 else store.deserialize_cdr(raw, kind)
 
-    def _store(self, kind: str, ros1: bool) -> Any:
-        from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-        language, definition = self._definitions.get((kind, ros1), ("", ""))
-        if language:
-            with contextlib.suppress(Exception):
-                types = get_types_from_idl(definition) if language == "idl" else get_types_from_msg(definition, kind)
-                store = get_typestore(Stores.EMPTY)
-                store.register(types)
-                if kind in store.types:
-                    return store
-        # Old ROS 2 bags do not say what their messages look like; laser, odometry and tf never changed.
-        store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
-        if ros1 and "tf2_msgs/msg/TFMessage" not in store.types:
-            for tf in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
-                store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", tf))
-        return store
+# A store compiles the reading of its types, which takes longer than reading a small bag.
+@lru_cache(maxsize=64)
+def _type_store(kind: str, ros1: bool, language: str, definition: str) -> Any:
+    """Return what decodes a type by its definition, or by the usual one where that is missing or no such text."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if language:
+        with contextlib.suppress(Exception):
+            types = get_types_from_idl(definition) if language == "idl" else get_types_from_msg(definition, kind)
+            store = get_typestore(Stores.EMPTY)
+            store.register(types)
+            if kind in store.types:
+                return store
+    # Old ROS 2 bags do not say what their messages look like; laser, odometry and tf never changed.
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    if ros1 and "tf2_msgs/msg/TFMessage" not in store.types:
+        for tf in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", tf))
+    return store
 
 
 class IndexedBag:

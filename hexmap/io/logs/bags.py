@@ -120,8 +120,9 @@ class BagLog(Log):
         """What was not as it should be, one line each, each naming the file."""
         texts = []
         if self._other_frames.count:
+            count = plural(self._other_frames.count, "scan")
             texts.append(
-                f"{plural(self._other_frames.count, 'scan')} of other frames on {self.scan_topic} left out, the first "
+                f"{count} of other frames on {_topic(self.scan_topic)} left out, the first "
                 f"of {self._other_frames.first}; those of '{shown(self.scan_frame)}' are read; choose with scan_frame"
             )
         if self._bad_transforms.count:
@@ -161,7 +162,7 @@ class BagLog(Log):
         lasers = [topic for topic, kind in source.topics.items() if kind in (_LASER, _ECHOES)]
         if lasers and all(topic in foreign for topic in lasers):
             raise LogError(
-                f"{self.path}: the messages on {lasers[0]} are in the encoding {shown(foreign[lasers[0]])!r}; "
+                f"{self.path}: the messages on {_topic(lasers[0])} are in the encoding {shown(foreign[lasers[0]])!r}; "
                 "those of ROS 1 and ROS 2 (cdr) are read"
             )
 
@@ -185,13 +186,13 @@ class BagLog(Log):
             for topic in found:
                 if topic.strip("/") == wanted.strip("/"):
                     return topic
-            raise LogError(f"{self.path}: no {short} on topic {wanted}; topics are {_list(topics)}")
+            raise LogError(f"{self.path}: no {short} on topic {_topic(wanted)}; topics are {_list(topics)}")
         if not found:
             raise LogError(f"{self.path}: no {short}; topics are {_list(topics)}")
         named = [topic for topic in found if topic.rsplit("/", 1)[-1] == last_name]
         if len(found) == 1 or len(named) == 1:
             return found[0] if len(found) == 1 else named[0]
-        raise LogError(f"{self.path}: several {short}: {', '.join(found)}; choose one with {setting}")
+        raise LogError(f"{self.path}: several {short}: {', '.join(map(_topic, found))}; choose one with {setting}")
 
     def _find_odometry(self, topics: dict[str, str]) -> str | None:
         wanted = self.settings.odometry_topic
@@ -218,7 +219,7 @@ class BagLog(Log):
                 frames.append(frame)
         if frames:
             names = ", ".join(f"'{shown(frame)}'" for frame in frames[:8])
-            raise LogError(f"{self.path}: no scan of frame {wanted!r} on {self.scan_topic}; frames are {names}")
+            raise LogError(f"{self.path}: no scan of frame {wanted!r} on {_topic(self.scan_topic)}; frames are {names}")
         return None
 
     def _first_reading(self, source: BagSource) -> tuple[str, str]:
@@ -262,7 +263,7 @@ class BagLog(Log):
         followed = self._followed()
         for topic, texts in bad.items():
             for text in texts if topic not in followed else ():
-                self._notes.append(f"a transform of {topic} ignored: {text}")
+                self._notes.append(f"a transform of {_topic(topic)} ignored: {text}")
         return laser
 
     def _take_mount(self, up: list[str], down: list[str]) -> None:
@@ -382,9 +383,9 @@ class BagLog(Log):
                 elif topic == self.odometry_topic:
                     events = [odometry_reading(message, nanoseconds, number)]
                 else:
-                    events = self._follow(message, nanoseconds, f"{number} ({topic})", number, edges, joints)
+                    events = self._follow(message, nanoseconds, f"{number} ({_topic(topic)})", number, edges, joints)
             except Exception as error:  # one bad message, of any kind, is skipped and counted
-                self._skipped.add(f"message {number} ({topic}): {reason(error)}")
+                self._skipped.add(f"message {number} ({_topic(topic)}): {reason(error)}")
             yield from events
 
     def _scan(self, message: Any, nanoseconds: int, number: int) -> Scan:
@@ -432,10 +433,16 @@ class BagLog(Log):
         return events
 
     def _no_laser(self) -> str:
-        return f"{self.path}: no laser reading on topic {self.scan_topic}"
+        return f"{self.path}: no laser reading on topic {_topic(self.scan_topic)}"
 
 
 def _list(topics: dict[str, str]) -> str:
     if not topics:
         return "none"
-    return ", ".join(f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in sorted(topics.items()))
+    named = sorted(topics.items())
+    return ", ".join(f"{_topic(topic)} ({_topic(kind.replace('/msg/', '/'))})" for topic, kind in named)
+
+
+def _topic(name: str) -> str:
+    """Return the name of a topic or a type as it can stand in a message."""
+    return shown(name, 120)
