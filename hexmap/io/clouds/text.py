@@ -138,6 +138,9 @@ def parse_rows(
     if not text or text.isspace():
         return np.empty((0, len(columns)))
     text = plain_numbers(text)
+    if rows is not None:
+        # numpy allocates so many before it reads: no more than there are lines.
+        rows = min(rows, text.count("\n") + 1)
     prepared = text.replace(",", ".") if decimal_comma else text
     try:
         with warnings.catch_warnings():

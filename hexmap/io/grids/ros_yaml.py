@@ -25,7 +25,7 @@ _BOOLEANS = {
     "1": True, "true": True, "yes": True, "y": True, "on": True,
 }  # fmt: skip
 # The parser takes seconds for more, and a map's file has some hundred bytes.
-_MOST_BYTES = 1 << 18
+_MOST_BYTES = 1 << 16
 # Quotes begin a text only where a value begins: "it's" has none.
 _QUOTED_OR_TAB = re.compile(r"""(?<![^\s\[{,:-])(?:'(?:[^'\n]|'')*'|"(?:[^"\\\n]|\\.)*")|\t""")
 

@@ -51,6 +51,7 @@ _PREFERENCE: dict[str | None, tuple[bytes, ...]] = {None: _FRONT + _REAR, "front
 _DESCRIBED = {b"ROBOTLASER1": 11, b"ROBOTLASER2": 11, b"RAWLASER1": 0, b"RAWLASER2": 0}
 # Of a PARAM line after robot_frontlaser or robot_rearlaser.
 _OFFSETS = (b"_offset", b"_side_offset", b"_angular_offset")
+_FARTHEST_OFFSET = 1000.0  # metres or radians
 _LOOK_AHEAD = 1000
 
 
@@ -105,7 +106,10 @@ class CarmenLog(TextLog):
         name = words[1].removeprefix(b"robot_")
         if any(name in (b"frontlaser" + offset, b"rearlaser" + offset) for offset in _OFFSETS):
             try:
-                self._offsets[name] = floats([words[2]], name.decode())[0]
+                value = floats([words[2]], name.decode())[0]
+                if abs(value) > _FARTHEST_OFFSET:
+                    raise BadLine(f"{value:g} is no place on a robot")
+                self._offsets[name] = value
             except BadLine as bad:
                 self._notes.append(f"PARAM {shown(words[1])} ignored: {bad}")
 
@@ -268,6 +272,8 @@ def _mount(tokens: list[bytes]) -> Pose | None:
     try:
         _, _, tail = _described(tokens)
     except BadLine:
+        return None
+    if math.hypot(tail[0] - tail[3], tail[1] - tail[4]) > _FARTHEST_OFFSET:
         return None
     mount = Pose.planar(*tail[3:6]).inverse() @ Pose.planar(*tail[0:3])
     # The poses are printed with six digits, so a mount of less than that is none.

@@ -208,3 +208,11 @@ def test_gzip_of_points_inflates_to_no_more_than_is_stated(
     assert len(read_points(path)) == 50
     with pytest.raises(FormatError):
         read(tmp_path, b"", "empty.xyz")
+
+
+def test_numbers_of_points_that_no_file_has_are_not_allocated(tmp_path: Path) -> None:
+    huge = 2**31
+    surface = ply([("vertex", XYZ, POINTS)], "ascii").replace(b"element vertex 50", f"element vertex {huge}".encode())
+    fails(tmp_path, surface, f"cut off: {huge} of 'vertex' announced, 50 in the file", name="a.ply")
+    cloud = pcd(kind="ascii", WIDTH=str(huge), POINTS=str(huge))
+    fails(tmp_path, cloud, f"cut off: {huge} points announced, 50 in the file", name="a.pcd")

@@ -175,3 +175,12 @@ def test_a_file_that_a_map_names_is_not_quoted(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         ros(tmp_path, b"root:x:0:0:secret")
     assert "root" not in str(caught.value).replace(str(tmp_path), "") and "secret" not in str(caught.value)
+
+
+def test_the_name_of_an_image_stands_in_messages_as_printable_text(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.yaml", YAML.replace("m.pgm", '"a\\e[31m\\u2028.pgm"'))
+    with pytest.raises(FileAccessError, match=r"line 1: the image .*a\\x1b\[31m\\u2028\.pgm: no such file"):
+        open_grid(path)
+    write(tmp_path / "a\x1b[31m\u2028.pgm", b"P5 1 1 255\n")
+    with pytest.raises(FormatError, match=r"a\\x1b\[31m\\u2028\.pgm: the image is cut off"):
+        open_grid(path)
