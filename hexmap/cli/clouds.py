@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -35,6 +36,17 @@ Crop = Annotated[str | None, typer.Option(help="Box to keep, m: x,y,z,x,y,z (two
 Unique = Annotated[bool, typer.Option(help="Leave out exact duplicates.")]
 Sample = Annotated[int | None, typer.Option(help="Keep so many points, drawn at random.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a point file is read, as the options of the commands say it."""
+
+    format: str | None
+    units: str
+    axes: str
+    columns: str | None
+    offset: str
 
 
 def cell_size(resolution: float | None, volume: float | None, area: float | None, dim: int) -> float | None:
@@ -103,11 +115,7 @@ def read_cloud(
     path: Path,
     poses: Path | None,
     *,
-    format: str | None,
-    units: str,
-    axes: str,
-    columns: str | None = None,
-    offset: str = "auto",
+    reading: Reading,
     min_range: float,
     max_range: float | None,
     crop: str | None,
@@ -139,9 +147,10 @@ def read_cloud(
         points, note = _of_map(path, cells)
         notes.append(note)
     else:
+        units, columns = reading.units, reading.columns
         scale = float(units) if units.replace(".", "", 1).isdigit() else units
         file = read_points(
-            path, format=format, units=scale, axes=axes, offset=offset_of(offset),
+            path, format=reading.format, units=scale, axes=reading.axes, offset=offset_of(reading.offset),
             columns=None if columns is None else columns.split(","),
         )  # fmt: skip
         points, warnings, taken_off = file.points, list(file.warnings), file.offset

@@ -60,7 +60,7 @@ def rotation(
     dim = 2 if area is not None or poses is not None else 3
     wanted = clouds.cell_size(resolution, volume, area, dim)
     cloud, notes, warnings = clouds.read_cloud(
-        points, poses, format=format, units=units, axes=axes, columns=columns, offset=offset, min_range=min_range,
+        points, poses, reading=clouds.Reading(format, units, axes, columns, offset), min_range=min_range,
         max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed, cells=wanted,
     )  # fmt: skip
     dim = cloud.shape[1]

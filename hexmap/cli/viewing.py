@@ -199,7 +199,7 @@ def show(
         if size is None:
             raise ArgumentError(f"{source}: say how large the cells of points are: --volume or --resolution")
         cells = _cells_of_points(
-            source, lattice, size, format=format, units=units, axes=axes, columns=columns, offset=offset,
+            source, lattice, size, reading=clouds.Reading(format, units, axes, columns, offset),
             min_range=min_range, max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed,
         )  # fmt: skip
     _show_solids(cells, output, view, cut_above, viewer)

@@ -129,6 +129,25 @@ def read_points(
     # nuScenes' files have the ring as well.
     usual = 5 if asked is None and path.name.lower().removesuffix(".gz").endswith(".pcd.bin") else 4
     raw = _reader(kind, separator, usual)(path, data, wanted)
+    values, dropped, warnings = _in_metres(path, raw, order, axes, scale)
+    coarse = _coarseness(raw.values, kind)
+    if coarse:
+        warnings.append(coarse)
+    values, taken_off = _without_offset(path, values, shift, warnings)
+    return PointFile(
+        points=np.ascontiguousarray(values),
+        dropped=dropped,
+        path=path,
+        format=kind,
+        warnings=tuple(f"{path.name}: {text}" for text in warnings),
+        offset=taken_off,
+    )
+
+
+def _in_metres(
+    path: Path, raw: Raw, order: list[tuple[int, float]], axes: str, scale: tuple[float, float]
+) -> tuple[NDArray[np.float64], int, list[str]]:
+    """Return the finite points in metres along the axes, how many others there were, and warnings."""
     if len(raw.values) == 0:
         raise FormatError(f"{path}: no points in the file")
     values = _oriented(path, raw.values, order, axes)
@@ -145,18 +164,7 @@ def read_points(
         values = values[finite]
     if _is_mirror(order[: values.shape[1]]):
         warnings.append(f"the axes {axes!r} mirror the points")
-    coarse = _coarseness(raw.values, kind)
-    if coarse:
-        warnings.append(coarse)
-    values, taken_off = _without_offset(path, values, shift, warnings)
-    return PointFile(
-        points=np.ascontiguousarray(values),
-        dropped=dropped,
-        path=path,
-        format=kind,
-        warnings=tuple(f"{path.name}: {text}" for text in warnings),
-        offset=taken_off,
-    )
+    return values, dropped, warnings
 
 
 def _checked_offset(offset: Sequence[float] | str | None) -> tuple[float, ...] | str:
