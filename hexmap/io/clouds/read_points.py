@@ -27,6 +27,7 @@ FORMATS = ("pcd", "ply", "text", "kitti", "npy", "ptx")
 _ALIASES = {"xyz": "text", "txt": "text", "csv": "text", "asc": "text", "pts": "text", "bin": "kitti"}
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " "}
 _FAR = 1e5  # metres: coordinates beyond are those of surveyors, not of a sensor
+_FARTHEST = 1e9
 _ROUND = 100.0  # metres: what an offset that is found is a multiple of
 _UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 _KNOWN = "PCD, PLY, PTX, text (XYZ, CSV), a KITTI scan (.bin) and NPY are read"
@@ -192,7 +193,9 @@ def _without_offset(
         if not (np.abs(values) > _FAR).any():
             return values, ()
         first = np.round(values[0] / _ROUND) * _ROUND
-        offset = tuple(float(v) for v in np.where(np.abs(first) > _FAR / 2, first, 0.0))
+        # What is farther than anything on Earth is damage, not a survey.
+        surveyed = (np.abs(first) > _FAR / 2) & (np.abs(first) < _FARTHEST)
+        offset = tuple(float(v) for v in np.where(surveyed, first, 0.0))
         if not any(offset):
             return values, ()
         words = ",".join(f"{v:.10g}" for v in offset)
@@ -201,7 +204,11 @@ def _without_offset(
         return values, ()
     if len(offset) != values.shape[1]:
         raise ArgumentError(f"{path}: an offset of {len(offset)} numbers for points of dimension {values.shape[1]}")
-    return values - np.array(offset), offset
+    with np.errstate(over="ignore"):
+        moved = values - np.array(offset)
+    if not np.isfinite(moved).all():
+        raise ArgumentError(f"{path}: less the offset {offset} the points are not finite")
+    return moved, offset
 
 
 def _coarseness(values: NDArray[np.float64], kind: str) -> str:

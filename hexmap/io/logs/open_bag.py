@@ -6,7 +6,7 @@ import contextlib
 from pathlib import Path
 
 from hexmap.base.errors import FileAccessError, TooLargeError
-from hexmap.base.text import reason
+from hexmap.base.text import reason, shown
 from hexmap.io.logs.bag_sources import BagSource, IndexedBag, SplitBag, folder_files
 
 __all__ = ["open_bag"]
@@ -41,11 +41,13 @@ def _open_parts(path: Path, kind: str, files: list[Path]) -> BagSource:
             try:
                 parts.append(_open_file(file, kind))
             except FileNotFoundError:
-                raise FileAccessError(f"{file}: no such file, a part of the recording {path}") from None
+                # The name is that of the metadata: it may hold anything.
+                name = shown(str(file), 4096)
+                raise FileAccessError(f"{name}: no such file, a part of the recording {path}") from None
             except TooLargeError:
                 raise
             except Exception as error:
-                raise ValueError(f"{file.name}: {reason(error)}") from error
+                raise ValueError(f"{shown(file.name, 200)}: {reason(error)}") from error
             stack.callback(parts[-1].close)
         # Nothing failed: they stay open.
         stack.pop_all()

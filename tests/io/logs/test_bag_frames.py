@@ -466,3 +466,12 @@ def test_lengths_that_no_file_has_are_not_allocated(tmp_path: Path) -> None:
     path = mcap(tmp_path / "a.mcap", messages, "ros2msg", "cdr", texts, chunk)
     log, events = read(path)
     assert len(events) == 20 and "no sound index" in log.warnings[0]
+
+
+def test_the_name_of_a_part_stands_in_messages_as_printable_text(tmp_path: Path) -> None:
+    path = drive(tmp_path, "mcap")
+    text = (path / "metadata.yaml").read_text()
+    (path / "metadata.yaml").write_text(text.replace(".mcap", "\u2028.mcap"))
+    with pytest.raises(HexmapError) as caught:
+        open_log(path)
+    assert str(caught.value).isprintable()
