@@ -261,9 +261,10 @@ class BagLog(Log):
             self._take_mount(found[1], found[2])
         # Transforms that are followed while the log is read are counted then.
         followed = self._followed()
-        for topic, texts in bad.items():
-            for text in texts if topic not in followed else ():
-                self._notes.append(f"a transform of {_topic(topic)} ignored: {text}")
+        for topic, tally in bad.items():
+            if topic not in followed:
+                count = plural(tally.count, "transform")
+                self._notes.append(f"{count} of {_topic(topic)} ignored, the first {tally.first}")
         return laser
 
     def _take_mount(self, up: list[str], down: list[str]) -> None:
@@ -282,15 +283,15 @@ class BagLog(Log):
         # Upside down, R is Rz(yaw) Rx(pi): its first column still is the heading.
         self.mount = Pose.planar(T.x, T.y, T.theta)
 
-    def _look_ahead(self, source: BagSource, laser: str, robot: str) -> dict[str, list[str]]:
+    def _look_ahead(self, source: BagSource, laser: str, robot: str) -> dict[str, Tally]:
         """Take all transforms of tf that stand still, and those that move until the frames are known.
 
         Frames on a topic called ``tf_static`` stand still; on ``tf`` they may move.
 
         Returns:
-            Topic -> why transforms on it were ignored.
+            Topic -> how many transforms on it were ignored, and why the first was.
         """
-        bad: dict[str, list[str]] = {}
+        bad: dict[str, Tally] = {}
         static = [topic for topic in self._tf_topics if topic.rsplit("/", 1)[-1] == "tf_static"]
         moving = [topic for topic in self._tf_topics if topic not in static]
         for topics in (static, moving):
@@ -298,7 +299,7 @@ class BagLog(Log):
                 with contextlib.suppress(Exception):
                     for parent, child, _, T in transforms(source.deserialize(raw, topic)):
                         if isinstance(T, str):
-                            bad.setdefault(topic, []).append(T)
+                            bad.setdefault(topic, Tally()).add(T)
                         else:
                             self._frames.take(parent, child, T, topics is moving)
                 if topics is moving and (count >= _TF_LOOK_AHEAD or self._is_known(laser, robot)):
