@@ -52,6 +52,7 @@ _DESCRIBED = {b"ROBOTLASER1": 11, b"ROBOTLASER2": 11, b"RAWLASER1": 0, b"RAWLASE
 # Of a PARAM line after robot_frontlaser or robot_rearlaser.
 _OFFSETS = (b"_offset", b"_side_offset", b"_angular_offset")
 _FARTHEST_OFFSET = 1000.0  # metres or radians
+_WIDEST = 1000.0  # radians: no fan of beams, not even one in degrees
 _LOOK_AHEAD = 1000
 
 
@@ -179,6 +180,8 @@ class CarmenLog(TextLog):
             angle_min, angle_step = fields[1], fields[3]
             if not angle_step > 0.0:
                 angle_step = fields[2] / max(len(ranges) - 1, 1)
+            if not abs(angle_min) + abs(angle_step) * len(ranges) < _WIDEST:
+                raise BadLine(f"beams from {angle_min:g} by {angle_step:g} rad")
             if fields[4] > 0.0:
                 limit = min(limit, fields[4])
             time = _stamp(tokens, len(tokens) - 3) if tail[-1:] == [math.inf] else None

@@ -473,3 +473,8 @@ def test_devices_and_pipes_are_no_logs(tmp_path: Path) -> None:
         with pytest.raises(LogError, match="not a file that can be read twice"):
             open_log(tmp_path / name)
         assert not is_log(tmp_path / name)
+
+
+def test_beams_that_no_fan_has_cost_their_line(tmp_path: Path) -> None:
+    log, events = read(write(tmp_path / "a.log", robotlaser(RANGES), robotlaser(RANGES, step=1e300)))
+    assert len(events) == 1 and "line 2: beams from -1 by 1e+300 rad" in log.warnings[0]
