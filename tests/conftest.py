@@ -86,3 +86,13 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder}; set HEXMAP_DATA")
     return folder
+
+
+@pytest.fixture(scope="session")
+def cases_dir() -> Path:
+    """Folder of the small inputs that users' situations led to; tests that need it skip where it is absent."""
+    named = os.environ.get("HEXMAP_CASES")
+    folder = Path(named) if named else ROOT.parent / "shared" / "cases"
+    if not folder.is_dir():
+        pytest.skip(f"no cases at {folder}; set HEXMAP_CASES")
+    return folder

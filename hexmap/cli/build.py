@@ -20,6 +20,7 @@ from hexmap.cli.log_options import (
     Mount,
     NoReturn,
     OdometryTopic,
+    ScanFrame,
     ScanTopic,
     log_values,
 )
@@ -75,7 +76,9 @@ def build(
     checkpoint: Annotated[
         Path | None, typer.Option(help="Folder in which a run that is killed is found again and goes on.")
     ] = None,
-    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) to fuse at, instead of matching.")] = None,
+    poses: Annotated[
+        Path | None, typer.Option(help="Poses (TUM, KITTI or EuRoC) to fuse at, instead of matching.")
+    ] = None,
     associate: Annotated[
         Associate | None, typer.Option(help="How --poses go with scans.", show_default="order where the numbers agree")
     ] = None,
@@ -96,7 +99,7 @@ def build(
     laser: LaserName = None,
     scan_topic: ScanTopic = None,
     odometry_topic: OdometryTopic = None,
-    frame: Annotated[str | None, typer.Option(help="Frame of a LiDAR's scans to take.")] = None,
+    scan_frame: ScanFrame = None,
     rate: Annotated[float | None, typer.Option(help="Scans a second of a folder without stamps.")] = None,
     free_space: Annotated[
         bool | None, typer.Option(help="Count what a LiDAR's beams went through.", show_default="on")
@@ -108,7 +111,7 @@ def build(
     from hexmap.drawing.map_drawing import check_picture
     from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.logs.open_log import open_log
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
 
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     check_outputs(
@@ -132,7 +135,7 @@ def build(
             None if associate is None else associate.value, loop_closure,
             lattice=lattice, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
             free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
-            log={"topic": scan_topic, "frame": frame, "rate": rate},
+            log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
         )  # fmt: skip
         return
     paths = [log.resolve() for log in logs]
@@ -163,10 +166,10 @@ def build(
         search_level=search_level,
         use_odometry=odometry,
         rule={"min_hits": min_hits, "min_ratio": min_ratio},
-        log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic),
+        log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic, scan_frame),
     )
     sources = [open_log(log, settings.log) for log in logs]
-    given = read_tum(poses) if poses is not None else None
+    given = read_trajectory(poses) if poses is not None else None
     if given is not None and not given.planar:
         raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
     first_run_note()
@@ -182,7 +185,7 @@ _OF_THE_PLANE = (
     "loops_picture", "continue_map", "checkpoint", "clear_no_return", "mount", "search_metres", "search_degrees",
     "search_level", "odometry", "angle_min", "angle_step", "no_return", "laser", "odometry_topic",
 )  # fmt: skip
-_OF_SPACE = ("frame", "rate", "free_space", "level")
+_OF_SPACE = ("rate", "free_space", "level")
 
 
 def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:

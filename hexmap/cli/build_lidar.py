@@ -59,12 +59,12 @@ def build_lidar(
     """
     from hexmap.io.lidar.open_lidar import open_lidar
     from hexmap.io.map_file import save_map
-    from hexmap.io.trajectories import TumWriter, read_tum
+    from hexmap.io.trajectories import TumWriter, read_trajectory
     from localisation.mapping.lidar_map import build_lidar_map, fuse_lidar_log
     from localisation.odometry.lidar_odometry import import_kiss_icp
 
     source = open_lidar(log, settings.log)
-    given = None if poses is None else read_tum(poses)
+    given = None if poses is None else read_trajectory(poses)
     if given is None:
         import_kiss_icp()
     first_run_note()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,7 +15,19 @@ if TYPE_CHECKING:
 Volume = Annotated[float | None, typer.Option(help="Volume of a cell, m3 (0.001 is a litre).")]
 Area = Annotated[float | None, typer.Option(help="Area of a cell, m2.")]
 Resolution = Annotated[float | None, typer.Option(help="Side, m, of the square or cube as large as a cell.")]
-Format = Annotated[str | None, typer.Option("--format", help="pcd, ply, text, kitti, npy.", show_default="found")]
+Format = Annotated[str | None, typer.Option("--format", help="pcd, ply, ptx, text, kitti, npy.", show_default="found")]
+ColumnNames = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        help="Columns to take as x, y, z: names, or numbers from 0, with commas. Of a .bin also the names of all "
+        "numbers of a point, or how many there are.",
+        show_default="found",
+    ),
+]
+Offset = Annotated[
+    str, typer.Option(help="Metres to take off the points, x,y,z; auto: the first point's, where it is beyond 100 km.")
+]
 Units = Annotated[str, typer.Option(help="Units of a point file: m, cm, mm or a number of metres.")]
 Axes = Annotated[str, typer.Option(help="Axes of a point file as x, y, z: a signed permutation such as x,-z,y.")]
 MinRange = Annotated[float, typer.Option(help="Leave out points nearer to the origin, m.")]
@@ -23,6 +36,17 @@ Crop = Annotated[str | None, typer.Option(help="Box to keep, m: x,y,z,x,y,z (two
 Unique = Annotated[bool, typer.Option(help="Leave out exact duplicates.")]
 Sample = Annotated[int | None, typer.Option(help="Keep so many points, drawn at random.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a point file is read, as the options of the commands say it."""
+
+    format: str | None
+    units: str
+    axes: str
+    columns: str | None
+    offset: str
 
 
 def cell_size(resolution: float | None, volume: float | None, area: float | None, dim: int) -> float | None:
@@ -71,13 +95,27 @@ def corners(crop: str | None) -> tuple[tuple[float, ...] | None, tuple[float, ..
     return tuple(numbers[:half]), tuple(numbers[half:])
 
 
+def offset_of(text: str) -> list[float] | Literal["auto"]:
+    """Return an offset that was typed.
+
+    Raises:
+        ArgumentError: neither numbers nor "auto".
+    """
+    from hexmap.base.errors import ArgumentError
+
+    if text.strip().lower() == "auto":
+        return "auto"
+    try:
+        return [float(v) for v in text.split(",")]
+    except ValueError:
+        raise ArgumentError(f"--offset takes two or three numbers with commas, or auto, not {text!r}") from None
+
+
 def read_cloud(
     path: Path,
     poses: Path | None,
     *,
-    format: str | None,
-    units: str,
-    axes: str,
+    reading: Reading,
     min_range: float,
     max_range: float | None,
     crop: str | None,
@@ -99,9 +137,9 @@ def read_cloud(
     notes: list[str] = []
     warnings: list[str] = []
     low, high = corners(crop)
-    chosen = PointFilter(
-        min_range=min_range, max_range=max_range, low=low, high=high, unique=unique, sample=sample, seed=seed
-    )
+    filtering = {"min_range": min_range, "max_range": max_range, "unique": unique, "sample": sample, "seed": seed}
+    taken_off: tuple[float, ...] = ()
+    chosen = PointFilter(low=low, high=high, **filtering)  # type: ignore[arg-type]
     if poses is not None:
         points, warnings = _of_log(path, poses)
         notes.append(f"The points are those of the log {path.name} at the poses of {poses.name}.")
@@ -109,9 +147,18 @@ def read_cloud(
         points, note = _of_map(path, cells)
         notes.append(note)
     else:
+        units, columns = reading.units, reading.columns
         scale = float(units) if units.replace(".", "", 1).isdigit() else units
-        file = read_points(path, format=format, units=scale, axes=axes)
-        points, warnings = file.points, list(file.warnings)
+        file = read_points(
+            path, format=reading.format, units=scale, axes=reading.axes, offset=offset_of(reading.offset),
+            columns=None if columns is None else columns.split(","),
+        )  # fmt: skip
+        points, warnings, taken_off = file.points, list(file.warnings), file.offset
+    if taken_off:
+        # A box is in the coordinates of the file.
+        low, high = (c if c is None else tuple(map(float.__sub__, c, taken_off)) for c in (low, high))
+        chosen = PointFilter(low=low, high=high, **filtering)  # type: ignore[arg-type]
+        notes.append(f"The points are those of the file less {', '.join(f'{v:.10g}' for v in taken_off)} m.")
     kept, report = chosen.apply_counted(points)
     if report.kept != report.given:
         notes.append(f"Filters: {report}.")
@@ -143,7 +190,7 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
     import numpy as np
 
     from hexmap.io.logs.open_log import open_log
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
     from hexmap.poses.pose import Pose
     from hexmap.poses.scan import Scan
     from localisation.mapping.fuse_log import readings_at_poses
@@ -151,7 +198,7 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
     log = open_log(path)
     chunks = [
         (T_map_robot @ (log.mount or Pose.identity(2))).apply(scan.points)
-        for scan, T_map_robot in readings_at_poses(log, read_tum(poses))
+        for scan, T_map_robot in readings_at_poses(log, read_trajectory(poses))
         if T_map_robot is not None and isinstance(scan, Scan)
     ]
     return np.concatenate(chunks) if chunks else np.empty((0, 2)), list(log.warnings)

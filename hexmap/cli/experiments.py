@@ -43,6 +43,8 @@ def rotation(
     format: clouds.Format = None,
     units: clouds.Units = "m",
     axes: clouds.Axes = "xyz",
+    columns: clouds.ColumnNames = None,
+    offset: clouds.Offset = "auto",
     min_range: clouds.MinRange = 0.0,
     max_range: clouds.MaxRange = None,
     crop: clouds.Crop = None,
@@ -58,8 +60,8 @@ def rotation(
     dim = 2 if area is not None or poses is not None else 3
     wanted = clouds.cell_size(resolution, volume, area, dim)
     cloud, notes, warnings = clouds.read_cloud(
-        points, poses, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range, crop=crop,
-        unique=unique, sample=sample, seed=seed, cells=wanted,
+        points, poses, reading=clouds.Reading(format, units, axes, columns, offset), min_range=min_range,
+        max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed, cells=wanted,
     )  # fmt: skip
     dim = cloud.shape[1]
     size = clouds.cell_size(resolution, volume, area, dim)

@@ -55,7 +55,7 @@ def localisation(
     An interrupted run goes on where it stopped. Times are in a report of their own, in the folder times.
     """
     from hexmap.io.logs.open_log import open_log
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
     from localisation.experiments.run import localisation_experiment
 
     check_folder(output)
@@ -67,7 +67,7 @@ def localisation(
         **{name: value for name, value in given.items() if value is not None},
     )  # fmt: skip
     source, other = open_log(log), None if test is None else open_log(test)
-    reference, other_reference = (None if path is None else read_tum(path) for path in (poses, test_poses))
+    reference, other_reference = (None if path is None else read_trajectory(path) for path in (poses, test_poses))
     if any(output.glob("cases-*.jsonl")):
         say(f"{output}: finished cases of an earlier run are kept, with their times")
     first_run_note()

@@ -18,6 +18,7 @@ from hexmap.cli.log_options import (
     Mount,
     NoReturn,
     OdometryTopic,
+    ScanFrame,
     ScanTopic,
     log_values,
 )
@@ -63,6 +64,7 @@ def localise(
     laser: LaserName = None,
     scan_topic: ScanTopic = None,
     odometry_topic: OdometryTopic = None,
+    scan_frame: ScanFrame = None,
 ) -> None:
     """Find a robot in a map and follow it along a log; no start pose is needed.
 
@@ -99,7 +101,7 @@ def localise(
         "min_range": min_range,
         "use_odometry": odometry,
     }
-    read = log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic)
+    read = log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic, scan_frame)
     try:
         settings = LocaliserSettings(**{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
         reading = LogSettings(**{k: v for k, v in read.items() if v is not None})  # type: ignore[arg-type]

@@ -160,28 +160,28 @@ def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
 
 
 def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="The poses to judge (TUM).")],
+    trajectory: Annotated[Path, typer.Argument(help="The poses to judge (TUM, KITTI or EuRoC).")],
     relations: Annotated[Path | None, typer.Option(help="True relative poses (Kuemmerle 2009).")] = None,
-    reference: Annotated[Path | None, typer.Option(help="True poses (TUM).")] = None,
+    reference: Annotated[Path | None, typer.Option(help="True poses (TUM, KITTI or EuRoC).")] = None,
     associate: Annotated[Associate, typer.Option(help="How poses go with the reference.")] = Associate.time,
     tolerance: Annotated[float, typer.Option(help="Seconds that associated stamps may differ.")] = 0.1,
     step: Annotated[float, typer.Option(help="Distance of the pairs for the relative error, m.")] = 1.0,
 ) -> None:
     """Score a trajectory: relations, or absolute error after rigid alignment and relative error."""
     from hexmap.base.errors import ArgumentError
-    from hexmap.io.trajectories import read_relations, read_tum
+    from hexmap.io.trajectories import read_relations, read_trajectory
     from localisation.evaluation import absolute_error, evaluate_relations, relative_error
 
     if relations is None and reference is None:
         raise ArgumentError("evaluate takes --relations or --reference, or both")
-    poses = read_tum(trajectory)
+    poses = read_trajectory(trajectory)
     if relations is not None:
         score = evaluate_relations(poses, read_relations(relations), tolerance)
         say(f"relations: {score.used} used, {score.skipped} without poses near enough in time")
         _report("translation", score.translation, "m")
         _report("rotation", score.rotation_deg, "deg")
     if reference is not None:
-        truth = read_tum(reference)
+        truth = read_trajectory(reference)
         ate = absolute_error(truth, poses, associate.value, tolerance)
         say(f"absolute error after rigid alignment: {ate.used} poses used, {ate.skipped} left out")
         _report("translation", ate.translation, "m")
@@ -208,7 +208,7 @@ def demo(
     from hexmap.drawing.map_drawing import draw_map
     from hexmap.io.logs.open_log import open_log
     from hexmap.io.map_file import load_map
-    from hexmap.io.trajectories import read_tum
+    from hexmap.io.trajectories import read_trajectory
     from hexmap.poses.trajectory import Trajectory
     from hexmap.simulator.buildings import make_building
     from hexmap.simulator.writer import write_log
@@ -236,7 +236,7 @@ def demo(
     wrote(detail, "5 x 5 m of it")
     draw_map(whole, coarse, level=2, rule=settings.rule)
     wrote(coarse, "the coarsest level")
-    estimate, reference = read_tum(poses), read_tum(truth)
+    estimate, reference = read_trajectory(poses), read_trajectory(truth)
     wheels = Trajectory.from_poses(*_odometry(log))
     raw = absolute_error(reference, wheels, "order")
     matched = absolute_error(reference, estimate, "order")

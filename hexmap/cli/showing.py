@@ -75,6 +75,8 @@ def show(
     format: clouds.Format = None,
     units: clouds.Units = "m",
     axes: clouds.Axes = "xyz",
+    columns: clouds.ColumnNames = None,
+    offset: clouds.Offset = "auto",
     min_range: clouds.MinRange = 0.0,
     max_range: clouds.MaxRange = None,
     crop: clouds.Crop = None,
@@ -91,9 +93,9 @@ def show(
     check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
     poses = None
     if trajectory is not None:
-        from hexmap.io.trajectories import read_tum
+        from hexmap.io.trajectories import read_trajectory
 
-        poses = read_tum(trajectory)
+        poses = read_trajectory(trajectory)
     size = clouds.cell_size(resolution, volume, None, 3)
     if is_parquet(source):
         scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None)
@@ -101,8 +103,8 @@ def show(
         scene = _map_of_others(source, lattice, size)
     else:
         scene = _points(
-            source, lattice, size, format=format, units=units, axes=axes, min_range=min_range, max_range=max_range,
-            crop=crop, unique=unique, sample=sample, seed=seed,
+            source, lattice, size, reading=clouds.Reading(format, units, axes, columns, offset),
+            min_range=min_range, max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed,
         )  # fmt: skip
     drawn = output is not None and output.suffix.lower() in _DRAWINGS and scene.offset == _NO_OFFSET
     if scene.states.occupied.lattice.dim == 2 or (drawn and slice is None and not viewer):

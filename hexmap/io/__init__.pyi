@@ -1,7 +1,7 @@
 from .exports import export, export_csv, export_ply
 from .map_file import load_map, read_metadata, save_map
 from .ros_map import export_ros
-from .trajectories import TumWriter, read_relations, read_tum, write_tum
+from .trajectories import TumWriter, read_relations, read_trajectory, read_tum, write_tum
 
 __all__ = [
     "TumWriter",
@@ -12,6 +12,7 @@ __all__ = [
     "load_map",
     "read_metadata",
     "read_relations",
+    "read_trajectory",
     "read_tum",
     "save_map",
     "write_tum",

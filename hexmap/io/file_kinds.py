@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["FOREIGN", "FileKind", "control_byte", "find_kind", "is_parquet"]
+__all__ = ["BOM", "FOREIGN", "FileKind", "control_byte", "find_kind", "is_parquet"]
+
+BOM = b"\xef\xbb\xbf"  # the byte-order mark of UTF-8, which editors of Windows put before a text
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class FileKind:
 
     def begins(self, head: bytes) -> bool:
         """Tell whether the first bytes of a file are those of this kind."""
-        return self.mark.match(head) is not None
+        return self.mark.match(head, len(BOM) if head.startswith(BOM) else 0) is not None
 
 
 def _kind(name: str, mark: bytes, advice: str = "") -> FileKind:
@@ -37,10 +39,10 @@ def _kind(name: str, mark: bytes, advice: str = "") -> FileKind:
 ROSBAG1 = _kind("a ROS 1 bag", rb"#ROSBAG V")
 MCAP = _kind("an MCAP file", rb"\x89MCAP0\r\n")
 SQLITE = _kind("a SQLite file", rb"SQLite format 3\x00")
-CARMEN_LOG = _kind("a CARMEN log", rb"(?:[^\n]*\n)*?(?:ODOM|[FR]LASER|ROBOTLASER[12])[ \t]")
+CARMEN_LOG = _kind("a CARMEN log", rb"(?:[^\n]*\n)*?(?:ODOM|[FR]LASER|(?:ROBOT|RAW)LASER[12])[ \t]")
 # Its first reading comes before any reading of a CARMEN log; other lines may stand before it.
 WEAN_LOG = _kind(
-    "a log of Wean Hall", rb"(?:(?!(?:ODOM|[FR]LASER|ROBOTLASER[12])[ \t])[^\n]*\n)*?[OL][ \t]+[-+.]?[0-9]"
+    "a log of Wean Hall", rb"(?:(?!(?:ODOM|[FR]LASER|(?:ROBOT|RAW)LASER[12])[ \t])[^\n]*\n)*?[OL][ \t]+[-+.]?[0-9]"
 )
 
 # Points. A PCD file may begin with comments and blank lines.
@@ -63,7 +65,7 @@ SCENARIO = _kind("a scenario", rb"version ")
 
 # Pictures.
 PNG = _kind("a PNG picture", rb"\x89PNG")
-PGM = _kind("a PGM picture", rb"P[25][\s#]")
+PGM = _kind("a PGM or PPM picture", rb"P[2356][\s#]")
 BMP = _kind("a BMP picture", rb"(?s:BM.{4}\x00{4})")
 JPEG = _kind("a JPEG picture", rb"\xff\xd8\xff")
 
@@ -109,7 +111,10 @@ def control_byte(head: bytes) -> int | None:
 def is_parquet(path: Path) -> bool:
     """Tell whether a file begins as Parquet does: then it is a map of ours, or is meant to be one."""
     try:
+        # A pipe would wait for ever to be opened, or be read by this alone.
+        if not path.is_file():
+            return False
         with path.open("rb") as handle:
             return PARQUET.begins(handle.read(4))
-    except OSError:
+    except (OSError, ValueError):  # a ValueError: a path with a null character
         return False

@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
-from hexmap.base.errors import FormatError, HexmapError
+from hexmap.base.errors import FileAccessError, FormatError, HexmapError
 from hexmap.base.text import quoted, reason
 from hexmap.io.file_kinds import PARQUET
-from hexmap.io.read_file import cannot_read
+from hexmap.io.read_file import cannot_read, check_regular
 from hexmap.lattice.keys import pack, unpack
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
@@ -299,7 +299,10 @@ def _levels(path: Path, header: dict[str, Any]) -> int:
 
 def _open(path: Path) -> IO[bytes]:
     try:
+        check_regular(path, os.stat(path).st_mode)
         return open(path, "rb")
+    except FileAccessError:
+        raise
     except OSError as error:
         raise cannot_read(path, error) from error
 

@@ -1,10 +1,11 @@
-"""Trajectory files: TUM in and out, and true relations in."""
+"""Trajectory files: TUM in and out, KITTI and EuRoC in, and true relations in."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -13,12 +14,17 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.atomic_files import atomic_write
-from hexmap.base.errors import ArgumentError, TrajectoryError
+from hexmap.base.errors import ArgumentError, FileAccessError, TrajectoryError
 from hexmap.base.text import shown
-from hexmap.io.read_file import cannot_read
+from hexmap.io.file_kinds import BOM
+from hexmap.io.read_file import cannot_read, check_regular
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import euler_to_quaternions, quaternions_to_rotations
 from hexmap.poses.trajectory import Relations, Trajectory
+
+_KITTI = tuple(f"{letter}{k}" for k in (1, 2, 3) for letter in ("r1", "r2", "r3", "t"))
+_EUROC = ("nanoseconds", "x", "y", "z", "qw", "qx", "qy", "qz")
+_LEAST_NANOSECONDS = 1e6  # a millisecond; a smaller stamp is one in seconds
 
 
 def read_tum(path: str | os.PathLike[str]) -> Trajectory:
@@ -32,12 +38,56 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
             not 1 (to 1 %), or a file without poses; the text names file, line and value.
     """
     table, lines = _read_table(path, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw"), "poses")
-    norms = np.linalg.norm(table[:, 4:], axis=1)
-    bad = np.abs(norms - 1.0) > 0.01
+    _check_quaternions(path, table[:, 4:], lines)
+    return Trajectory(table[:, 0], table[:, 1:4], table[:, 4:])
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a trajectory in the format of TUM, KITTI or EuRoC, whichever the first line of numbers is of.
+
+    - TUM: ``stamp x y z qx qy qz qw``, see :func:`read_tum`.
+    - KITTI: the twelve numbers of a 3 x 4 matrix, row after row; there are no stamps, so they count the poses, from 0.
+    - EuRoC: ``nanoseconds,x,y,z,qw,qx,qy,qz`` and any number of columns more, with commas.
+
+    The axes are those of the file. Comments (#), blank lines and a byte-order mark are skipped.
+
+    Raises:
+        FileAccessError: the file cannot be opened.
+        TrajectoryError: a line that is not of the format, a rotation that is none (to 1 %), or a file without poses;
+            the text names file, line and value.
+    """
+    first = _first_line(path)
+    if b"," in first:
+        return _read_euroc(path)
+    return _read_kitti(path) if len(first.split()) == len(_KITTI) else read_tum(path)
+
+
+def _read_kitti(path: str | os.PathLike[str]) -> Trajectory:
+    from scipy.spatial.transform import Rotation
+
+    table, lines = _read_table(path, _KITTI, "poses")
+    matrices = table.reshape(-1, 3, 4)
+    R = matrices[:, :, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        bad = ~(off <= 0.01) | ~(np.linalg.det(R) > 0.0)
     if bad.any():
         i = int(np.argmax(bad))
-        raise TrajectoryError(f"{path}, line {lines[i]}: the quaternion's length is {norms[i]:.6g}, not 1")
-    return Trajectory(table[:, 0], table[:, 1:4], table[:, 4:])
+        raise TrajectoryError(f"{path}, line {lines[i]}: the first three columns of the matrix are no rotation")
+    quaternions = Rotation.from_matrix(R).as_quat(canonical=True)
+    return Trajectory(np.arange(len(table), dtype=np.float64), matrices[:, :, 3], quaternions)
+
+
+def _read_euroc(path: str | os.PathLike[str]) -> Trajectory:
+    table, lines = _read_table(path, _EUROC, "poses", separator=b",")
+    if not (np.abs(table[:, 0]) >= _LEAST_NANOSECONDS).all():
+        i = int(np.argmax(np.abs(table[:, 0]) < _LEAST_NANOSECONDS))
+        raise TrajectoryError(
+            f"{path}, line {lines[i]}: the stamp {table[i, 0]:.10g} is no number of nanoseconds, with which a line of "
+            f"EuRoC begins: {','.join(_EUROC)}"
+        )
+    _check_quaternions(path, table[:, 4:8], lines)
+    return Trajectory(table[:, 0] * 1e-9, table[:, 1:4], table[:, [5, 6, 7, 4]])
 
 
 def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
@@ -129,27 +179,62 @@ def read_relations(path: str | os.PathLike[str]) -> Relations:
     return Relations(table[:, 0], table[:, 1], table[:, 2:5], rotations)
 
 
-def _read_table(path: str | os.PathLike[str], columns: tuple[str, ...], what: str) -> tuple[FloatArray, list[int]]:
-    """Read lines of numbers; comments (#) and blank lines are skipped. Returns rows and line numbers."""
-    rows: list[list[float]] = []
-    lines: list[int] = []
+def _check_quaternions(path: str | os.PathLike[str], quaternions: FloatArray, lines: list[int]) -> None:
+    with np.errstate(over="ignore"):  # infinitely long is what they are
+        norms = np.linalg.norm(quaternions, axis=1)
+    bad = ~(np.abs(norms - 1.0) <= 0.01)
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise TrajectoryError(f"{path}, line {lines[i]}: the quaternion's length is {norms[i]:.6g}, not 1")
+
+
+def _lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, bytes]]:
+    """Yield (number, line) of those that are neither blank nor comments."""
     try:
+        check_regular(path, os.stat(path).st_mode)
         with open(path, "rb") as handle:
             for number, raw in enumerate(handle, 1):
-                tokens = raw.split()
-                if not tokens or tokens[0].startswith(b"#"):
-                    continue
-                try:
-                    row = [float(token) for token in tokens]
-                except ValueError:
-                    row = []
-                # One test for all three complaints keeps the loop quick; the text is made below.
-                if len(row) != len(columns) or not math.isfinite(sum(row)):
-                    raise TrajectoryError(f"{path}, line {number}: {_complaint(tokens, columns)}")
-                rows.append(row)
-                lines.append(number)
-    except OSError as error:
+                line = (raw.removeprefix(BOM) if number == 1 else raw).strip()
+                if line and not line.startswith(b"#"):
+                    yield number, line
+    except FileAccessError:
+        raise
+    except (OSError, ValueError) as error:  # a ValueError: a path with a null character
         raise cannot_read(path, error) from error
+
+
+def _first_line(path: str | os.PathLike[str]) -> bytes:
+    """Return the first line of data; EuRoC's header may come without its #."""
+    for _, line in _lines(path):
+        if not line.lower().startswith((b"timestamp", b"time,", b"stamp")):
+            return line
+    raise TrajectoryError(f"{path}: no poses in the file")
+
+
+def _read_table(
+    path: str | os.PathLike[str], columns: tuple[str, ...], what: str, separator: bytes | None = None
+) -> tuple[FloatArray, list[int]]:
+    """Read lines of numbers; comments (#) and blank lines are skipped. Returns rows and line numbers.
+
+    With a separator there may be more columns than those asked for, and a header in words.
+    """
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for number, line in _lines(path):
+        tokens = line.split(separator)
+        if separator is not None:
+            if not rows and line[:1].isalpha():
+                continue
+            tokens = tokens[: len(columns)]
+        try:
+            row = [float(token) for token in tokens]
+        except ValueError:
+            row = []
+        # One test for all three complaints keeps the loop quick; the text is made below.
+        if len(row) != len(columns) or not math.isfinite(sum(row)):
+            raise TrajectoryError(f"{path}, line {number}: {_complaint(tokens, columns)}")
+        rows.append(row)
+        lines.append(number)
     if not rows:
         raise TrajectoryError(f"{path}: no {what} in the file")
     return np.array(rows, dtype=np.float64), lines

@@ -325,7 +325,7 @@ class Lattice:
         one = np.empty((1, self.dim), dtype=np.int32)
         for row, point in enumerate(points):
             if self._kernel(point[None], *self._kernel_arguments, one):
-                where = "(" + ", ".join(f"{v:g}" for v in point) + ")"
+                where = "(" + ", ".join(f"{v:.10g}" for v in point) + ")"
                 if not np.isfinite(point).all():
                     raise BoundsError(f"point {row} is not finite: {where}")
                 raise BoundsError(

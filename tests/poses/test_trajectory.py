@@ -12,7 +12,7 @@ import pytest
 
 from hexmap.base.atomic_files import atomic_path, atomic_write
 from hexmap.base.errors import ArgumentError, FileAccessError, TrajectoryError
-from hexmap.io.trajectories import TumWriter, read_relations, read_tum, write_tum
+from hexmap.io.trajectories import TumWriter, read_relations, read_trajectory, read_tum, write_tum
 from hexmap.poses.pose import Pose
 from hexmap.poses.trajectory import Trajectory
 
@@ -206,3 +206,61 @@ def test_full_disk_is_a_file_error(tmp_path: Path) -> None:
     with pytest.raises(FileAccessError, match=r"a\.bin.*[Nn]o space"), atomic_write(tmp_path / "a.bin"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert os.listdir(tmp_path) == []
+
+
+def kitti_text(trajectory: Trajectory) -> str:
+    rows = (pose.matrix()[:3, :4].reshape(-1) for pose in trajectory)
+    return "".join(" ".join(f"{v:.9e}" for v in row) + "\n" for row in rows)
+
+
+def euroc_text(trajectory: Trajectory, header: str = "#timestamp [ns],p_x [m],...\n", more: str = ",0,0,0") -> str:
+    lines = [header]
+    for stamp, pose in zip(trajectory.stamps, trajectory, strict=True):
+        x, y, z, w = pose.quaternion()
+        numbers = [*pose.translation, w, x, y, z]
+        lines.append(f"{round((stamp + 1.5e9) * 1e9)},{','.join(f'{v:.12g}' for v in numbers)}{more}\n")
+    return "".join(lines)
+
+
+def test_trajectories_of_kitti_and_euroc(tmp_path: Path) -> None:
+    trajectory = tumbling()
+    path = tmp_path / "poses.txt"
+    for text, stamps in (
+        (kitti_text(trajectory), np.arange(20.0)),
+        (euroc_text(trajectory), trajectory.stamps + 1.5e9),
+        ("\ufeff" + euroc_text(trajectory, "timestamp,x,y,z,qw,qx,qy,qz\n", ""), trajectory.stamps + 1.5e9),
+    ):
+        path.write_text(text)
+        found = read_trajectory(path)
+        np.testing.assert_allclose(found.stamps, stamps, atol=1e-6)
+        assert all(a.is_close(b, 1e-7, 1e-7) for a, b in zip(found, trajectory, strict=True))
+    write_tum(path, trajectory)
+    path.write_text("\ufeff" + path.read_text())
+    assert len(read_trajectory(path)) == len(read_tum(path)) == 20
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: the first three columns .* no rotation"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 1: the first three columns .* no rotation"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1\n", "line 2: 11 numbers, expected 12"),
+        ("1.5,0,0,0,1,0,0,0\n", "line 1: the stamp 1.5 is no number of nanoseconds"),
+        ("#x\n1500000000,0,0,0,2,0,0,0\n", "line 2: the quaternion's length is 2, not 1"),
+        ("1500000000,0,0,0,1,0,0\n", "line 1: 7 numbers, expected 8"),
+        ("1500000000,0,0,zero,1,0,0,0\n", "line 1: 'zero' is not a number"),
+        ("# nothing\n\n", "no poses in the file"),
+    ],
+)
+def test_what_is_wrong_with_a_trajectory_is_said(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(text)
+    with pytest.raises(TrajectoryError, match=message):
+        read_trajectory(path)
+
+
+def test_a_trajectory_is_a_regular_file(tmp_path: Path) -> None:
+    (tmp_path / "a.tum").symlink_to("/dev/zero")
+    for reader in (read_trajectory, read_tum, read_relations):
+        with pytest.raises(FileAccessError, match=r"a\.tum: cannot be read: it is a device"):
+            reader(tmp_path / "a.tum")

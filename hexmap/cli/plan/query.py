@@ -155,7 +155,7 @@ def check_numbers(query: Query, sizes: dict[str, float | None], min_hits: int | 
 
 def in_metres(position: Any) -> str:
     """Return a position as a user reads it, such as (1.5, -2)."""
-    return f"({', '.join(f'{round(float(v), 3):g}' for v in position)})"
+    return f"({', '.join(f'{round(float(v), 3):.10g}' for v in position)})"
 
 
 def counted(number: int, one: str, many: str = "") -> str:

@@ -120,15 +120,16 @@ def _read_header(path: Path, data: bytes) -> _Header:
         tokens = line.decode("utf-8", "replace").split()
         if not tokens or tokens[0].startswith("#"):
             continue
-        if tokens[0] not in _KEYS:
+        if tokens[0].upper() not in _KEYS:
             if end == len(data) and number > 1:
                 continue  # half a line: the file ends in the header
             raise FormatError(f"{path}, line {number}: {shown(tokens[0])!r} is not an entry of a PCD header")
-        key = "FIELDS" if tokens[0] == "COLUMNS" else tokens[0]
+        key = tokens[0].upper()
+        key = "FIELDS" if key == "COLUMNS" else key
         header.entries[key], header.lines[key] = tokens[1:], number
     header.start, header.start_line = min(at, len(data)), number + 1
 
-    kind = " ".join(header.entries["DATA"])
+    kind = " ".join(header.entries["DATA"]).lower()
     if kind not in _KINDS:
         raise header.error("DATA", f"DATA {shown(kind)!r} is not one of {', '.join(_KINDS)}")
     header.kind = kind
@@ -139,7 +140,7 @@ def _read_header(path: Path, data: bytes) -> _Header:
     header.sizes, header.counts = header.numbers("SIZE", n), header.numbers("COUNT", n, 1)
     if sum(header.counts) > _MOST_VALUES:
         raise header.error("COUNT", f"{sum(header.counts)} values a point are more than {_MOST_VALUES}")
-    header.types = header.entries.get("TYPE", [])
+    header.types = [letter.upper() for letter in header.entries.get("TYPE", [])]
     if len(header.types) != n:
         raise header.error("TYPE", f"TYPE has {plural(len(header.types), 'value')}, expected {n}")
     for size, letter in zip(header.sizes, header.types, strict=True):

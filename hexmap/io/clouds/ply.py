@@ -208,9 +208,9 @@ def _walk(path: Path, data: bytes, at: int, element: _Element, order: str, chose
 def _read_ascii(
     path: Path, data: bytes, at: int, line: int, before: list[_Element], element: _Element, chosen: list[int]
 ) -> FloatArray:
-    from hexmap.io.clouds.text import parse_rows
+    from hexmap.io.clouds.text import parse_rows, plain_numbers
 
-    text = data[at:].decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    text = plain_numbers(data[at:].decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n"))
     place = 0
     for other in before:
         for row in range(other.count if other.properties else 0):

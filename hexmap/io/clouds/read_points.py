@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +17,20 @@ from hexmap.base.errors import ArgumentError, FormatError
 from hexmap.base.text import plural, shown
 from hexmap.io import file_kinds
 from hexmap.io.clouds.columns import Columns, Raw
+from hexmap.io.clouds.ptx import begins_ptx, read_ptx
 from hexmap.io.read_file import read_file
 
 __all__ = ["FORMATS", "PointFile", "read_points"]
 
-FORMATS = ("pcd", "ply", "text", "kitti", "npy")
+FORMATS = ("pcd", "ply", "text", "kitti", "npy", "ptx")
 
 _ALIASES = {"xyz": "text", "txt": "text", "csv": "text", "asc": "text", "pts": "text", "bin": "kitti"}
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": " ", "space": " "}
+_FAR = 1e5  # metres: coordinates beyond are those of surveyors, not of a sensor
+_FARTHEST = 1e9
+_ROUND = 100.0  # metres: what an offset that is found is a multiple of
 _UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
-_KNOWN = "PCD, PLY, text (XYZ, CSV), a KITTI scan (.bin) and NPY are read"
+_KNOWN = "PCD, PLY, PTX, text (XYZ, CSV), a KITTI scan (.bin) and NPY are read"
 _CARMEN = re.compile(rb"^(?:[FR]LASER|ROBOTLASER[12]|ODOM|PARAM)[ \t]", re.MULTILINE)
 # How to make points of what holds points or surfaces in another format.
 _CONVERSIONS = {
@@ -47,6 +52,7 @@ class PointFile:
         path: the file.
         format: what it was read as, one of ``FORMATS``.
         warnings: what was not as it should be, one line each, each naming the file.
+        offset: (n,) metres that were taken off the points: what is at 0 here is there in the file's coordinates.
     """
 
     points: NDArray[np.float64]
@@ -54,6 +60,7 @@ class PointFile:
     path: Path
     format: str
     warnings: tuple[str, ...] = ()
+    offset: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -73,14 +80,15 @@ def read_points(
     axes: str = "xyz",
     columns: Sequence[str | int] | None = None,
     delimiter: str | None = None,
+    offset: Sequence[float] | Literal["auto"] | None = None,
 ) -> PointFile:
     """Read the points of a file; its format is found by its content, then by its name.
 
     Read are PCD (ascii, binary, binary_compressed), PLY (ascii, binary of either endianness),
-    text (XYZ, TXT, CSV: separator, header and comments are found), KITTI scans (.bin: float32
-    x y z intensity) and NPY, each plain or inside gzip. Points come in the order of the file;
-    those with a coordinate that is not finite are dropped and counted. The VIEWPOINT of a PCD
-    file is not applied.
+    text (XYZ, TXT, CSV: separator, header and comments are found), PTX, KITTI scans (.bin: float32
+    x y z intensity, or with another number of columns) and NPY, each plain or inside gzip. Points
+    come in the order of the file; those with a coordinate that is not finite are dropped and
+    counted. The VIEWPOINT of a PCD file is not applied.
 
     Args:
         path: the file.
@@ -91,12 +99,17 @@ def read_points(
             y of the file's -z and z of its y (a camera's frame to x forward is "z,-x,-y"). For
             points of the plane "xyz" is "xy".
         columns: two or three columns to take instead of x, y and z: names of fields, or numbers
-            from 0 where columns have no names.
+            from 0 where columns have no names. Of a .bin also all names of a point's numbers, x, y and z among
+            them, or how many there are ("5").
         delimiter: separator of a text file, a character or "comma", "semicolon", "tab",
             "blank"; None: found.
+        offset: metres that are taken off the points, along the axes of the result: coordinates of surveyors, millions
+            of metres large, fit no lattice's indices. "auto": the first point, to whole hundreds of metres, where a
+            coordinate is beyond 100 km. None: nothing.
 
     Raises:
-        ArgumentError: an unknown format, unit, axes or delimiter, or columns that are not two or three.
+        ArgumentError: an unknown format, unit, axes or delimiter, columns that are not two or three, or an offset that
+            is not a finite number a coordinate.
         FileAccessError: the file is not there or cannot be read.
         FormatError: the file is empty, damaged, cut off or of another kind; the text names the
             file and, where there is one, the line or the byte.
@@ -107,11 +120,35 @@ def read_points(
     order = _checked_axes(axes)
     wanted = _checked_columns(columns)
     separator = _checked_delimiter(delimiter)
+    shift = _checked_offset(offset)
     data = read_file(path)
     kind = asked or _find_format(path, data)
     if separator is not None and kind != "text":
         raise ArgumentError(f"{path}: a delimiter is for text, not for a file of format {kind}")
-    raw = _reader(kind, separator)(path, data, wanted)
+    if wanted is not None and len(wanted) not in (2, 3) and kind != "kitti":
+        raise ArgumentError(f"columns of a file of format {kind} are two or three, not {columns!r}")
+    # nuScenes' files have the ring as well.
+    usual = 5 if asked is None and path.name.lower().removesuffix(".gz").endswith(".pcd.bin") else 4
+    raw = _reader(kind, separator, usual)(path, data, wanted)
+    values, dropped, warnings = _in_metres(path, raw, order, axes, scale)
+    coarse = _coarseness(raw.values, kind)
+    if coarse:
+        warnings.append(coarse)
+    values, taken_off = _without_offset(path, values, shift, warnings)
+    return PointFile(
+        points=np.ascontiguousarray(values),
+        dropped=dropped,
+        path=path,
+        format=kind,
+        warnings=tuple(f"{path.name}: {text}" for text in warnings),
+        offset=taken_off,
+    )
+
+
+def _in_metres(
+    path: Path, raw: Raw, order: list[tuple[int, float]], axes: str, scale: tuple[float, float]
+) -> tuple[NDArray[np.float64], int, list[str]]:
+    """Return the finite points in metres along the axes, how many others there were, and warnings."""
     if len(raw.values) == 0:
         raise FormatError(f"{path}: no points in the file")
     values = _oriented(path, raw.values, order, axes)
@@ -128,16 +165,63 @@ def read_points(
         values = values[finite]
     if _is_mirror(order[: values.shape[1]]):
         warnings.append(f"the axes {axes!r} mirror the points")
-    return PointFile(
-        points=np.ascontiguousarray(values),
-        dropped=dropped,
-        path=path,
-        format=kind,
-        warnings=tuple(f"{path.name}: {text}" for text in warnings),
-    )
+    return values, dropped, warnings
 
 
-def _reader(kind: str, separator: str | None) -> Callable[[Path, bytes, Columns | None], Raw]:
+def _checked_offset(offset: Sequence[float] | str | None) -> tuple[float, ...] | str:
+    """Return the offset; empty where there is none."""
+    if offset is None:
+        return ()
+    if isinstance(offset, str):
+        if offset == "auto":
+            return offset
+        offset = ()
+    try:
+        found = tuple(float(v) for v in offset)
+    except (TypeError, ValueError):
+        found = ()
+    if len(found) not in (2, 3) or not all(math.isfinite(v) for v in found):
+        raise ArgumentError(f"an offset is two or three finite numbers of metres, or 'auto', not {offset!r}")
+    return found
+
+
+def _without_offset(
+    path: Path, values: NDArray[np.float64], offset: tuple[float, ...] | str, warnings: list[str]
+) -> tuple[NDArray[np.float64], tuple[float, ...]]:
+    """Return the points less the offset, and the offset."""
+    if isinstance(offset, str):
+        if not (np.abs(values) > _FAR).any():
+            return values, ()
+        first = np.round(values[0] / _ROUND) * _ROUND
+        # What is farther than anything on Earth is damage, not a survey.
+        surveyed = (np.abs(first) > _FAR / 2) & (np.abs(first) < _FARTHEST)
+        offset = tuple(float(v) for v in np.where(surveyed, first, 0.0))
+        if not any(offset):
+            return values, ()
+        words = ",".join(f"{v:.10g}" for v in offset)
+        warnings.append(f"coordinates beyond {_FAR:.0f} m; {words} m is taken off them (offset)")
+    if not offset:
+        return values, ()
+    if len(offset) != values.shape[1]:
+        raise ArgumentError(f"{path}: an offset of {len(offset)} numbers for points of dimension {values.shape[1]}")
+    with np.errstate(over="ignore"):
+        moved = values - np.array(offset)
+    if not np.isfinite(moved).all():
+        raise ArgumentError(f"{path}: less the offset {offset} the points are not finite")
+    return moved, offset
+
+
+def _coarseness(values: NDArray[np.float64], kind: str) -> str:
+    """Return a warning where the file's single precision cannot tell points of a few centimetres apart."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        most = float(np.abs(values[np.isfinite(values).all(axis=1)]).max(initial=0.0))
+        if kind == "text" or most < _FAR or not np.array_equal(values.astype(np.float32), values, equal_nan=True):
+            return ""
+    step = float(np.spacing(np.float32(most)))
+    return f"coordinates up to {most:.10g} in single precision: they stand in steps of {step:g} in the file"
+
+
+def _reader(kind: str, separator: str | None, usual: int) -> Callable[[Path, bytes, Columns | None], Raw]:
     if kind == "pcd":
         from hexmap.io.clouds.pcd import read_pcd
 
@@ -149,7 +233,11 @@ def _reader(kind: str, separator: str | None) -> Callable[[Path, bytes, Columns 
     if kind in ("kitti", "npy"):
         from hexmap.io.clouds.binary import read_kitti, read_npy
 
-        return read_kitti if kind == "kitti" else read_npy
+        if kind == "npy":
+            return read_npy
+        return lambda path, data, columns: read_kitti(path, data, columns, usual)
+    if kind == "ptx":
+        return read_ptx
     from hexmap.io.clouds.text import read_text
 
     return lambda path, data, columns: read_text(path, data, columns, separator)
@@ -167,18 +255,15 @@ def _find_format(path: Path, data: bytes) -> str:
             return name
     suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
     if suffixes[-1:] == [".bin"]:
-        if suffixes[-2:] == [".pcd", ".bin"]:
-            raise FormatError(
-                f"{path}: .pcd.bin is nuScenes' format of five numbers a point, which is not read; "
-                "say format 'kitti' if it holds four"
-            )
         # Before the foreign kinds: any bytes may begin a scan.
         return "kitti"
     foreign = file_kinds.find_kind(head)
     if foreign is not None:
         advice = foreign.advice or _CONVERSIONS.get(foreign, "")
         raise FormatError(f"{path}: this is {foreign.name}; {f'{advice}; ' if advice else ''}{_KNOWN}")
-    if suffixes[-1:] in ([".pcd"], [".ply"], [".npy"]):
+    if begins_ptx(head):
+        return "ptx"
+    if suffixes[-1:] in ([".pcd"], [".ply"], [".npy"], [".ptx"]):
         # The name promises a format whose mark is missing: its reader says best what is wrong.
         return suffixes[-1][1:]
     if re.match(rb"\s*<(?:!doctype|html|\?xml)", head, re.IGNORECASE):
@@ -232,7 +317,10 @@ def _checked_columns(columns: Sequence[str | int] | None) -> Columns | None:
         return None
     wanted = list(columns.split(",")) if isinstance(columns, str) else list(columns)
     good = all(isinstance(c, str) or (isinstance(c, (int, np.integer)) and c >= 0) for c in wanted)
-    if len(wanted) not in (2, 3) or not good:
+    words = {str(column).strip().lower() for column in wanted}
+    # What only a .bin can have: all names of a point's numbers, or how many there are.
+    layout = (len(wanted) == 1 and str(wanted[0]).isdecimal()) or (3 < len(wanted) <= 64 and {"x", "y"} <= words)
+    if not good or not (len(wanted) in (2, 3) or layout):
         raise ArgumentError(f"columns must be two or three names, or numbers from 0, not {columns!r}")
     return wanted
 

@@ -17,12 +17,21 @@ from hexmap.base.errors import FormatError
 from hexmap.base.text import plural, reason, shown, whole_number
 from hexmap.io.clouds.columns import Columns, Raw, choose_columns
 
-__all__ = ["parse_rows", "read_text"]
+__all__ = ["parse_rows", "plain_numbers", "read_text"]
 
 # (separator, decimal comma): tried in this order until the first line of data makes sense.
 _GUESSES: tuple[tuple[str | None, bool], ...] = (
     (";", False), (",", False), ("\t", False), (None, False), (";", True), ("\t", True), (None, True),
 )  # fmt: skip
+# Visual C++ writes numbers that are none as 1.#IND, 1.#QNAN00 and 1.#INF, and newer ones as nan(ind).
+_MICROSOFT = re.compile(r"([-+]?)1\.#(INF|IND|QNAN|SNAN|J|R)0*|[-+]?nan\([a-z0-9_]*\)", re.IGNORECASE)
+# Lines that are looked at for a header, below titles, and for the first line of data.
+_HEAD_LINES = 12
+# What stands before the letter of a coordinate, where all three have it: "Points:0", "pos_x", "Position.Y".
+_LETTERS = ({"x": "x", "y": "y", "z": "z"}, {"0": "x", "1": "y", "2": "z"})
+_PREFIXED = re.compile(r"(.*[ _:.\-])([xyz012])")
+_SUFFIXED = re.compile(r"([xyz])[ _.\-]?(?:m|coord|coordinate|pos|position)")
+_SURVEYED = {"easting": "x", "northing": "y", "elevation": "z", "height": "z", "altitude": "z"}
 _UNITS = re.compile(r"\[[^\]]*\]|\([^)]*\)")
 
 
@@ -52,8 +61,9 @@ def read_text(path: Path, data: bytes, columns: Columns | None = None, delimiter
 
     The separator (semicolon, comma, tab or blanks) is found by the first line of data, and with
     it whether numbers have a decimal comma. Text after ``#`` is a comment. One header line is
-    allowed; it, or a last comment before the data with as many names, says which columns are x, y
-    and z. Without names the first three columns are taken, or both of two. A first line that
+    allowed, below titles; it, or a last comment before the data with as many names, says which
+    columns are x, y and z ("Points:0", "pos_x" and "easting" are understood). Without names the
+    first three columns are taken, or both of two. A first line that
     holds only a number is the number of points (PTS).
 
     Args:
@@ -68,6 +78,7 @@ def read_text(path: Path, data: bytes, columns: Columns | None = None, delimiter
     text = data.decode("utf-8-sig", "replace")
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = plain_numbers(text)
     comment, head = _head(text)
     if not head:
         raise FormatError(f"{path}: no points in the file")
@@ -86,6 +97,13 @@ def read_text(path: Path, data: bytes, columns: Columns | None = None, delimiter
             raise FormatError(f"{path}: cut off: {layout.announced} points announced, {len(values)} in the file")
         layout.warnings.append(f"{layout.announced} points announced, {len(values)} in the file")
     return Raw(values, layout.warnings)
+
+
+def plain_numbers(text: str) -> str:
+    """Return a text with what Visual C++ writes for infinite and no numbers as others write it."""
+    if "1.#" not in text and "an(" not in text and "AN(" not in text:
+        return text
+    return _MICROSOFT.sub(lambda found: f"{found[1]}inf" if (found[2] or "").upper() == "INF" else "nan", text)
 
 
 def parse_rows(
@@ -119,6 +137,10 @@ def parse_rows(
     """
     if not text or text.isspace():
         return np.empty((0, len(columns)))
+    text = plain_numbers(text)
+    if rows is not None:
+        # numpy allocates so many before it reads: no more than there are lines.
+        rows = min(rows, text.count("\n") + 1)
     prepared = text.replace(",", ".") if decimal_comma else text
     try:
         with warnings.catch_warnings():
@@ -184,11 +206,11 @@ def _is_number(token: str, decimal_comma: bool) -> bool:
 
 
 def _head(text: str) -> tuple[str, list[_Line]]:
-    """Return the last comment before the data, and the first two lines that are no comments."""
+    """Return the last comment before the data, and the first lines that are no comments."""
     comment = ""
     lines: list[_Line] = []
     at = number = 0
-    while at < len(text) and len(lines) < 2:
+    while at < len(text) and len(lines) < _HEAD_LINES:
         end = text.find("\n", at)
         end = len(text) if end < 0 else end
         number += 1
@@ -215,7 +237,7 @@ def _find_layout(
         try:
             layout = _layout(path, comment, head, columns, sign, comma)
         except FormatError as error:
-            errors.append((min(len(_fields(line.text, sign)) for line in head), error))
+            errors.append((min(len(_fields(line.text, sign)) for line in head[:2]), error))
             continue
         # Excel writes decimal commas beside semicolons, but the first line may hold whole numbers.
         if sign == ";" and "," in head[-1].text:
@@ -235,8 +257,9 @@ def _layout(
     Raises:
         FormatError: it makes no sense of the first line of data.
     """
-    first = head[0]
     notes: list[str] = []
+    head = _without_titles(head, delimiter, decimal_comma)[:2]
+    first = head[0]
     fields = _fields(first.text, delimiter)
     names: list[str] | None = None
     announced = None
@@ -255,6 +278,8 @@ def _layout(
     elif names is not None and len(names) != len(fields):
         notes.append(f"the header names {plural(len(names), 'column')}, but there are {len(fields)}")
         names = None
+    if columns is None and names is not None:
+        names = _coordinates(names)
     if columns is None and not (names and {"x", "y"} <= set(names)):
         if len(fields) < 2:
             raise FormatError(
@@ -269,6 +294,55 @@ def _layout(
     if trouble:
         raise FormatError(f"{path}, line {first.number}: {trouble}")
     return _Layout(delimiter, decimal_comma, chosen, first, announced, notes)
+
+
+def _without_titles(head: list[_Line], delimiter: str | None, decimal_comma: bool) -> list[_Line]:
+    """Return the lines from the header on, where titles stand above it, else all of them."""
+
+    def numbers_of(line: _Line) -> tuple[int, int]:
+        fields = _fields(line.text, delimiter)
+        return sum(_is_number(token, decimal_comma) for token in fields), len(fields)
+
+    for k, line in enumerate(head[:-1]):
+        found, fields = numbers_of(line)
+        after, there = numbers_of(head[k + 1])
+        # Names above as many fields of data, with numbers among them: the header. What is above it are titles.
+        if found == 0 and fields > 1 and after > 1 and there == fields:
+            return head[k:]
+        if fields > 1 and found == fields:
+            break  # data
+    return head
+
+
+def _coordinates(names: list[str]) -> list[str]:
+    """Return the names of a header with x, y and z for the one set of columns that are coordinates by other names."""
+    if {"x", "y"} <= set(names):
+        return names
+    for letters in _LETTERS:
+        groups: dict[str, dict[str, int]] = {}
+        for place, name in enumerate(names):
+            found = _PREFIXED.fullmatch(name)
+            if found and found[2] in letters and not re.search("norm|vel|rot|col|acc|rgb", found[1]):
+                groups.setdefault(found[1], {})[letters[found[2]]] = place
+        whole = [group for group in groups.values() if {"x", "y"} <= set(group)]
+        if len(whole) == 1:
+            return _renamed(names, whole[0])
+    for by in (lambda name: (_SUFFIXED.fullmatch(name) or [None, None])[1], _SURVEYED.get):
+        places: dict[str, int] = {}
+        for place, name in enumerate(names):
+            letter = by(name)
+            if letter is not None:
+                places.setdefault(letter, place)
+        if {"x", "y"} <= set(places):
+            return _renamed(names, places)
+    return names
+
+
+def _renamed(names: list[str], places: dict[str, int]) -> list[str]:
+    out = list(names)
+    for letter, place in places.items():
+        out[place] = letter
+    return out
 
 
 def _names(content: str, delimiter: str | None) -> list[str]:

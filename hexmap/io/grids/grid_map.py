@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
+from hexmap.io.read_file import inflation_limit
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.state_rule import States
@@ -26,6 +27,7 @@ __all__ = ["MAX_BYTES", "MAX_CELLS", "GridMap", "check_size"]
 
 MAX_CELLS = 2_000_000_000  # of a dense array, a byte each
 MAX_BYTES = 4 * 2**30  # of a file, as it is and decompressed
+_SPARSE_CELLS = 1 << 28  # that any file may have, however few bytes it has
 _FINE = 2.0**32  # parts of a cell that quotients are rounded to
 _DRAWN_IN = 1e-6  # of a cell: how far inside its border the outermost samples lie
 _SAMPLES_AT_ONCE = 1 << 21
@@ -370,8 +372,14 @@ class GridMap:
         )
 
 
-def check_size(where: object, shape: tuple[int, ...]) -> None:
+def check_size(where: object, shape: tuple[int, ...], size: int | None = None) -> None:
     """Refuse a dense array that is too large, before it is allocated.
+
+    Args:
+        where: what the message begins with.
+        shape: of the array.
+        size: bytes of a file whose cells are not all written out; then they may be 2^28, or as many times the size as
+            :func:`~hexmap.io.read_file.inflation_limit` has it. None: the file has bytes for all of them.
 
     Raises:
         TooLargeError: naming the size.
@@ -383,6 +391,11 @@ def check_size(where: object, shape: tuple[int, ...]) -> None:
         raise TooLargeError(
             f"{where}: {' x '.join(map(str, shape))} cells would take {cells / 2**30:.1f} GiB; "
             f"at most {MAX_CELLS} are read"
+        )
+    if size is not None and cells > max(_SPARSE_CELLS, inflation_limit(size)):
+        raise TooLargeError(
+            f"{where}: {' x '.join(map(str, shape))} cells in a file of {size} bytes; at most "
+            f"{max(_SPARSE_CELLS, inflation_limit(size))} are read; HEXMAP_MAX_INFLATION raises the limit"
         )
 
 

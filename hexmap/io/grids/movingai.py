@@ -30,7 +30,8 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
         FormatError: naming the line and what is wrong with it.
         TooLargeError: more cells than a dense array may have.
     """
-    lines = data.split(b"\n")
+    # Header and rows apart: a file may have any number of lines.
+    lines = data.split(b"\n", 4)
     kind = lines[0].split()
     if kind[:1] != [b"type"]:
         raise FormatError(f"{path}, line 1: a MovingAI map begins with 'type octile', not with {quoted(lines[0])}")
@@ -41,21 +42,21 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
         words = lines[k].split() if k < len(lines) else []
         size = whole_number(words[1]) if len(words) == 2 else None
         if not words or words[0] not in (b"height", b"width") or words[0] in sizes or size is None:
-            found = quoted(lines[k]) if k < len(lines) else "the end of the file"
-            raise FormatError(f"{path}, line {k + 1}: 'height' and 'width' with an integer belong here, not {found}")
+            where = quoted(lines[k]) if k < len(lines) else "the end of the file"
+            raise FormatError(f"{path}, line {k + 1}: 'height' and 'width' with an integer belong here, not {where}")
         if size == 0:
             raise FormatError(f"{path}, line {k + 1}: the map is empty: its {words[0].decode()} is 0")
         sizes[words[0]] = size
     if len(lines) < 4 or lines[3].split() != [b"map"]:
-        found = quoted(lines[3]) if len(lines) > 3 else "the end of the file"
-        raise FormatError(f"{path}, line 4: 'map' belongs here, not {found}")
+        where = quoted(lines[3]) if len(lines) > 3 else "the end of the file"
+        raise FormatError(f"{path}, line 4: 'map' belongs here, not {where}")
     width, height = sizes[b"width"], sizes[b"height"]
     check_size(path, (width, height))
-    rows = [line.rstrip() for line in lines[4:]]
-    while rows and not rows[-1]:
-        rows.pop()
-    if len(rows) != height:
-        raise FormatError(f"{path}, line {4 + len(rows)}: the map ends after {len(rows)} rows, its height is {height}")
+    text = lines[4].rstrip() if len(lines) > 4 else b""
+    found = text.count(b"\n") + 1 if text else 0
+    if found != height:
+        raise FormatError(f"{path}, line {4 + found}: the map ends after {found} rows, its height is {height}")
+    rows = [line.rstrip() for line in text.split(b"\n")]
     for k, row in enumerate(rows):
         if len(row) != width:
             raise FormatError(f"{path}, line {5 + k}: row {k} has {len(row)} characters, the width is {width}")

@@ -20,6 +20,8 @@ from hexmap.maps.cell_state import CellState
 __all__ = ["MAGIC", "parse"]
 
 MAGIC = b"# Octomap OcTree binary file"
+# Trees of occupancy, whose binary form is the same: it holds neither colours nor stamps.
+_TREES = (b"OcTree", b"ColorOcTree", b"OcTreeStamped")
 _CENTRE = 32768  # key of the voxel whose low corner is at 0
 
 
@@ -59,11 +61,12 @@ def parse(path: Path, data: bytes) -> GridMap:
     if not (low < high).all():
         raise FormatError(f"{path}: the map is empty: no voxel of it is known")
     shape = high - low
-    check_size(path, tuple(int(s) for s in shape))
+    check_size(path, tuple(int(s) for s in shape), len(data))
     states = np.full(tuple(int(s) for s in shape), CellState.UNKNOWN, np.uint8)
     walk(True, low, shape, states.reshape(-1))
     states.setflags(write=False)
-    origin = np.asarray((low - _CENTRE) * resolution)
+    with np.errstate(over="ignore"):  # a grid says what is wrong with an origin that is not finite
+        origin = np.asarray((low - _CENTRE) * resolution)
     return GridMap(states, resolution, origin, path=str(path), kind="octomap")
 
 
@@ -88,8 +91,10 @@ def _header(path: Path, data: bytes) -> tuple[int, float, int]:
             continue
         key, _, value = line.partition(b" ")
         value = value.strip()
-        if key == b"id" and value != b"OcTree":
-            raise FormatError(f"{path}, line {number}: only trees of id OcTree are read, not {quoted(value)}")
+        if key == b"id" and value not in _TREES:
+            raise FormatError(
+                f"{path}, line {number}: only trees of id {b', '.join(_TREES).decode()} are read, not {quoted(value)}"
+            )
         if key == b"size" and whole_number(value) is None:
             raise FormatError(f"{path}, line {number}: the size must be a number of nodes, not {quoted(value)}")
         if key == b"res" and _edge(value) is None:

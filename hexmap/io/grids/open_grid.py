@@ -46,6 +46,8 @@ def open_grid(path: str | os.PathLike[str], *, cell: float | None = None) -> Gri
         raise ArgumentError(f"the edge of a cell must be a positive number of metres, not {cell!r}")
     data = read_file(path, MAX_BYTES)
     kind = _kind(path, data)
+    if kind != "octomap":
+        data = data.removeprefix(file_kinds.BOM)
     if kind in ("ros", "octomap", "wean") and cell is not None:
         raise ArgumentError(f"{path}: the file says how large its cells are; a cell of {cell:g} m cannot change that")
     # Each format's module is imported when it is needed.

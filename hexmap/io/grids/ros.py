@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hexmap.base.errors import FileAccessError, FormatError
+from hexmap.base.errors import FileAccessError, FormatError, TooLargeError
+from hexmap.base.text import shown
 from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
 from hexmap.io.grids.pictures import read_picture
 from hexmap.io.grids.ros_yaml import Entry, read_entries
@@ -58,7 +59,7 @@ def parse(path: Path, data: bytes) -> GridMap:
         FormatError: naming the line of the YAML file, or what is wrong with the image.
         TooLargeError: the image has more pixels than a dense array may have cells.
     """
-    entries = read_entries(path, data)
+    entries = read_entries(path, data, (*_NEEDED, "mode"))
     for key in _NEEDED:
         if key not in entries:
             raise FormatError(f"{path}: no {key!r} in the file; a ROS map has {', '.join(_NEEDED)}")
@@ -77,9 +78,11 @@ def parse(path: Path, data: bytes) -> GridMap:
     image = _image(path, entries)
     try:
         pixels = read_file(image, MAX_BYTES)
-    except FileAccessError as error:
-        raise FileAccessError(f"{path}, line {entries['image'].line}: the image {error}") from error
-    states = _states(*read_picture(image, pixels), mode.text.lower(), negate, occupied, free)
+    except (FileAccessError, FormatError, TooLargeError) as error:
+        # The name is the file's: it may hold anything.
+        words = shown(str(error), 4096)
+        raise type(error)(f"{path}, line {entries['image'].line}: the image {words}") from error
+    states = _states(*read_picture(Path(shown(str(image), 4096)), pixels), mode.text.lower(), negate, occupied, free)
     # The image's first row is the top one, that of the largest y.
     turned = np.ascontiguousarray(states[::-1].T)
     turned.setflags(write=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ _BOOLEANS = {
     "1": True, "true": True, "yes": True, "y": True, "on": True,
 }  # fmt: skip
 # The parser takes seconds for more, and a map's file has some hundred bytes.
-_MOST_BYTES = 1 << 18
+_MOST_BYTES = 1 << 16
 # Quotes begin a text only where a value begins: "it's" has none.
 _QUOTED_OR_TAB = re.compile(r"""(?<![^\s\[{,:-])(?:'(?:[^'\n]|'')*'|"(?:[^"\\\n]|\\.)*")|\t""")
 
@@ -93,8 +94,13 @@ def _number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def read_entries(path: Path, data: bytes) -> dict[str, Entry]:
+def read_entries(path: Path, data: bytes, unique: Collection[str] = ()) -> dict[str, Entry]:
     """Return the entries of the first document of a YAML file, in block or in flow style, by their keys.
+
+    Args:
+        path: the file, for messages.
+        data: its content, UTF-8, or with a byte-order mark UTF-16.
+        unique: keys that may not come twice with different values; of others the first counts.
 
     Raises:
         FormatError: naming the line and what is wrong with it.
@@ -105,7 +111,7 @@ def read_entries(path: Path, data: bytes) -> dict[str, Entry]:
     if len(data) > _MOST_BYTES:
         raise FormatError(f"{path}: {len(data)} bytes are too many for the YAML file of a ROS map")
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError as error:
         at = data.count(b"\n", 0, error.start) + 1
         raise FormatError(f"{path}, line {at}: not text (byte {data[error.start]:#04x})") from None
@@ -124,10 +130,11 @@ def read_entries(path: Path, data: bytes) -> dict[str, Entry]:
     for key, node in root.value:
         line = key.start_mark.line + 1
         if not isinstance(key, ScalarNode):
-            raise _no_entry(path, text, key.start_mark.line)
-        if key.value in found:
-            raise FormatError(f"{path}, line {line}: {key.value!r} stands in line {found[key.value].line} already")
-        found[key.value] = Entry(path, key.value, line, _value(node))
+            continue  # a list or a mapping is no key of ours
+        entry = Entry(path, key.value, line, _value(node))
+        first = found.setdefault(key.value, entry)
+        if first.value != entry.value and key.value in unique:
+            raise FormatError(f"{path}, line {line}: {key.value!r} stands in line {first.line} already")
     return found
 
 

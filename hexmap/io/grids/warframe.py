@@ -37,7 +37,7 @@ def parse(path: Path, data: bytes, cell: float) -> GridMap:
     shape = tuple(size for size in sizes if size is not None)
     if 0 in shape:
         raise FormatError(f"{path}, line 1: the map is empty: {' x '.join(map(str, shape))} voxels")
-    check_size(path, shape)
+    check_size(path, shape, len(data))
     states = np.full(shape, CellState.FREE, np.uint8)
     text = np.frombuffer(data, np.uint8)
     begin = min(len(head) + 1, len(data))

@@ -10,8 +10,9 @@ from hexmap.base.errors import FileAccessError, LogError
 from hexmap.base.text import reason, shown
 from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings
 from hexmap.io.lidar.point_cloud2 import PointTimes, column, coordinates
-from hexmap.io.logs.bags import open_source, topic_list
+from hexmap.io.logs.bag_sources import BagSource
 from hexmap.io.logs.log import file_size
+from hexmap.io.logs.open_bag import ADVICE, open_sound_bag, topic_list, topic_name
 from hexmap.io.read_file import cannot_read
 from hexmap.poses.scan import Scan
 
@@ -33,8 +34,14 @@ class LidarBag(LidarLog):
 
     _unit = "message"
 
-    def __init__(self, path: Path, settings: LidarLogSettings, kind: str) -> None:
+    def __init__(self, path: Path, settings: LidarLogSettings, kind: str, parts: list[Path] | None = None) -> None:
         """Choose the topic.
+
+        Args:
+            path: the file or the folder.
+            settings: how it is read.
+            kind: "rosbag1", "rosbag2" or "mcap".
+            parts: the files of a folder without metadata, in order.
 
         Raises:
             FileAccessError: the file cannot be read.
@@ -46,8 +53,12 @@ class LidarBag(LidarLog):
         except OSError as error:
             raise cannot_read(path, error) from error
         super().__init__(path, settings, size)
-        self._without_index = False
+        self._parts = parts
         source = self._open()
+        if source.trouble:
+            self._notes.append(
+                f"the bag has no sound index ({source.trouble}); read up to its last whole record; {ADVICE[kind]}"
+            )
         try:
             self.topic = self._choose(source.topics)
         finally:
@@ -55,12 +66,8 @@ class LidarBag(LidarLog):
         self.times = PointTimes()
         self.frame = settings.frame
 
-    def _open(self) -> Any:
-        source, note = open_source(self.path, self.format, self._without_index)
-        if note is not None:
-            self._without_index = True
-            self._notes.append(note)
-        return source
+    def _open(self) -> BagSource:
+        return open_sound_bag(self.path, self.format, self._parts)
 
     def _choose(self, topics: dict[str, str]) -> str:
         found = sorted(topic for topic, kind in topics.items() if kind == CLOUD)
@@ -70,15 +77,16 @@ class LidarBag(LidarLog):
                 if topic.strip("/") == wanted.strip("/"):
                     return topic
             known = topic_list(topics)
-            raise LogError(f"{self.path}: no sensor_msgs/PointCloud2 on topic {wanted}; topics are {known}")
+            raise LogError(f"{self.path}: no sensor_msgs/PointCloud2 on topic {topic_name(wanted)}; topics are {known}")
         if not found:
             packets = [topic for topic, kind in topics.items() if kind in _PACKETS]
-            advice = f"; {packets[0]} holds packets, which the maker's driver turns into clouds" if packets else ""
+            advice = ""
+            if packets:
+                advice = f"; {topic_name(packets[0])} holds packets, which the maker's driver turns into clouds"
             raise LogError(f"{self.path}: no sensor_msgs/PointCloud2; topics are {topic_list(topics)}{advice}")
         if len(found) > 1:
-            raise LogError(
-                f"{self.path}: several sensor_msgs/PointCloud2: {', '.join(found)}; choose one with --scan-topic"
-            )
+            names = ", ".join(map(topic_name, found))
+            raise LogError(f"{self.path}: several sensor_msgs/PointCloud2: {names}; choose one with --scan-topic")
         return found[0]
 
     def _read(self) -> Iterator[Scan]:
@@ -100,7 +108,7 @@ class LidarBag(LidarLog):
                 number += 1
                 self.position = int(self.size * min(max(source.fraction(nanoseconds), 0.0), 1.0))
                 try:
-                    scan = self._scan(source.deserialize(raw, CLOUD), nanoseconds, number)
+                    scan = self._scan(source.deserialize(raw, self.topic), nanoseconds, number)
                 except (LogError, FileAccessError):
                     raise
                 except Exception as error:  # one bad message, of any kind, is skipped and counted

@@ -90,7 +90,7 @@ class LidarLog(ABC):
         if self._elsewhere.count:
             texts.append(
                 f"{plural(self._elsewhere.count, 'scan')} of another frame left out, the first at "
-                f"{self._elsewhere.first}; choose with --frame"
+                f"{self._elsewhere.first}; choose with --scan-frame"
             )
         if self._empty.count:
             count = plural(self._empty.count, "scan")

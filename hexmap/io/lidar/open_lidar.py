@@ -9,7 +9,7 @@ from hexmap.base.errors import FileAccessError, HexmapError, LogError
 from hexmap.io.lidar.bag import CLOUD, LidarBag
 from hexmap.io.lidar.folder import LidarFolder, scan_files
 from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings
-from hexmap.io.logs.bags import open_source
+from hexmap.io.logs.open_bag import open_sound_bag
 from hexmap.io.logs.open_log import bag_kind
 
 __all__ = ["is_lidar_log", "open_lidar"]
@@ -34,9 +34,9 @@ def open_lidar(path: str | os.PathLike[str], settings: LidarLogSettings | None =
     path = Path(path)
     if not path.exists():
         raise FileAccessError(f"{path}: no such file or folder")
-    kind = bag_kind(path)
-    if kind is not None:
-        return LidarBag(path, settings, kind)
+    found = bag_kind(path)
+    if found is not None:
+        return LidarBag(path, settings, *found)
     if path.is_dir():
         return LidarFolder(path, settings)
     raise LogError(f"{path}: neither a bag with clouds nor a folder of point files")
@@ -45,10 +45,10 @@ def open_lidar(path: str | os.PathLike[str], settings: LidarLogSettings | None =
 def is_lidar_log(path: Path) -> bool:
     """Tell whether a path is a bag with clouds and no planar laser, or a folder of point files."""
     try:
-        kind = bag_kind(path)
-        if kind is None:
+        found = bag_kind(path)
+        if found is None:
             return path.is_dir() and bool(scan_files(path))
-        source, _ = open_source(path, kind)
+        source = open_sound_bag(path, *found)
     except (HexmapError, OSError):
         return False
     try:

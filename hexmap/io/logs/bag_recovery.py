@@ -1,121 +1,113 @@
-"""Bags without their index: read record by record, up to the last whole one.
+"""Bags read record by record: MCAP files, and ROS 1 bags whose index is missing.
 
-A recorder that was killed leaves a ROS 1 bag or an MCAP file whose records are sound but whose
-index, which is written last, is missing. rosbags reads through the index only, so the records
-are walked here; their messages are decoded by rosbags all the same.
+A recorder that was killed leaves a ROS 1 bag or an MCAP file whose records are sound but whose index, which is written
+last, is missing. rosbags reads ROS 1 bags through the index only, and of MCAP files only those of ROS 2 whose schemas
+it knows, all of them; here the records are walked, up to the last whole one. Messages are decoded by rosbags all the
+same.
 """
 
 from __future__ import annotations
 
+import heapq
 import struct
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
-__all__ = ["UnindexedMcap", "UnindexedRosbag1"]
+from hexmap.base.errors import HexmapError
+from hexmap.io.logs.bag_sources import Decoder, message_type
+from hexmap.io.logs.inflate import inflate
 
-# A length beyond this comes of damaged bytes, not of a message; it must not be allocated.
-_LONGEST_RECORD = 1 << 31
+__all__ = ["McapFile", "UnindexedRosbag1"]
 
 
 class _CutOff(Exception):
     """The file ends, or is damaged, within a record."""
 
 
-def _exactly(handle: IO[bytes], size: int, or_less: bool = False) -> bytes:
-    if not 0 <= size < _LONGEST_RECORD:
-        raise _CutOff
-    data = handle.read(size)
-    if len(data) != size and not or_less:
-        raise _CutOff
-    return data
+def _exactly(handle: IO[bytes], size: int, end: int, or_less: bool = False) -> bytes:
+    """Read bytes that lie before ``end``: a damaged length is never allocated."""
+    left = max(end - handle.tell(), 0)
+    if size > left:
+        if not or_less:
+            raise _CutOff
+        size = left
+    return handle.read(size)
 
 
-def _decompress(data: bytes, kind: str) -> bytes:
-    """Decompress a chunk, or as much as there is of one that is cut off."""
-    if kind in ("", "none"):
-        return data
+def _inflated(data: bytes, kind: str) -> bytes:
+    """Inflate a chunk, or as much as there is of one that is cut off."""
     try:
-        if kind == "bz2":
-            import bz2
-
-            return bz2.BZ2Decompressor().decompress(data)
-        if kind == "lz4":
-            from lz4.frame import LZ4FrameDecompressor
-
-            return bytes(LZ4FrameDecompressor().decompress(data))
-        if kind == "zstd":
-            try:
-                from compression import zstd
-            except ImportError:
-                from backports import zstd
-            return bytes(zstd.ZstdDecompressor().decompress(data))
-    except Exception as error:  # each of these libraries has an error of its own
+        return inflate(data, kind, partly=True)
+    except HexmapError:
+        raise
+    except Exception as error:  # each of the libraries has an error of its own
         raise _CutOff from error
-    raise _CutOff
 
 
-class _Unindexed(ABC):
-    """What both formats share: topics by a first walk, messages by a second."""
-
-    is2 = False
+class _Records(ABC):
+    """What both formats share."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[str, str] = {}
+        self.trouble = ""
+        self.size = path.stat().st_size
         self.position = 0
-        self._definitions: dict[str, str] = {}
-        self._typestore: Any = None
-        for _ in self._walk():
-            pass
+        self._decoder = Decoder()
 
     @abstractmethod
-    def _walk(self) -> Iterator[tuple[str, int, bytes]]:
-        """Yield (topic, nanoseconds, raw message) of the whole file, noting topics on the way."""
-
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        """Yield (topic, nanoseconds, raw message), in the order of the file."""
-        return (message for message in self._walk() if message[0] in topics)
+        """Yield (topic, nanoseconds, raw message)."""
 
-    def deserialize(self, raw: bytes, kind: str) -> Any:
-        """Decode a message."""
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        if self._typestore is None:
-            self._typestore = get_typestore(Stores.LATEST if self.is2 and not self._definitions else Stores.EMPTY)
-            types: dict[str, Any] = {}
-            for name, definition in self._definitions.items():
-                types.update(get_types_from_msg(definition, name))
-            self._typestore.register(types)
-        return self._typestore.deserialize_cdr(raw, kind) if self.is2 else self._typestore.deserialize_ros1(raw, kind)
+    @abstractmethod
+    def deserialize(self, raw: bytes, topic: str) -> Any:
+        """Decode a message of a topic."""
 
     def fraction(self, nanoseconds: int) -> float:
         """Return how much of the file has been read."""
-        size = self.path.stat().st_size
-        return self.position / size if size else 1.0
+        return self.position / self.size if self.size else 1.0
 
     def close(self) -> None:  # noqa: B027 - nothing to close but where there is
         """Nothing stays open."""
 
 
-class UnindexedRosbag1(_Unindexed):
+class UnindexedRosbag1(_Records):
     """A ROS 1 bag (format 2.0) without its index."""
 
+    def __init__(self, path: Path) -> None:
+        """Walk through the file for its topics."""
+        super().__init__(path)
+        for _ in self._walk():
+            pass
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (topic, nanoseconds, raw message), in the order of the file."""
+        return (message for message in self._walk() if message[0] in topics)
+
+    def deserialize(self, raw: bytes, topic: str) -> Any:
+        """Decode a message of a topic."""
+        return self._decoder.decode(raw, self.topics[topic], True)
+
     def _walk(self) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (topic, nanoseconds, raw message) of the whole file, noting topics on the way."""
         connections: dict[int, str] = {}
         with open(self.path, "rb") as handle:
-            handle.readline()
+            handle.readline(64)
             try:
                 while True:
-                    header, data = _record1(handle)
+                    header, data = _record1(handle, self.size)
                     self.position = handle.tell()
                     if header.get(b"op") == b"\x05":
                         kind = header.get(b"compression", b"none").decode("ascii", "replace")
-                        chunk = BytesIO(_decompress(data, kind))
-                        while chunk.tell() < len(chunk.getbuffer()):
-                            yield from self._take(*_record1(chunk), connections)
+                        plain = _inflated(data, kind)
+                        chunk = BytesIO(plain)
+                        while chunk.tell() < len(plain):
+                            yield from self._take(*_record1(chunk, len(plain)), connections)
                     else:
                         yield from self._take(header, data, connections)
             except _CutOff:
@@ -131,22 +123,22 @@ class UnindexedRosbag1(_Unindexed):
         if op == b"\x07":
             described = _fields1(data)
             topic = header.get(b"topic", b"").decode("utf-8", "replace")
-            package, _, name = described.get(b"type", b"").decode("utf-8", "replace").rpartition("/")
-            kind = f"{package.removesuffix('/msg')}/msg/{name}"
+            kind = message_type(described.get(b"type", b"").decode("utf-8", "replace"))
             connections[number] = topic
             self.topics[topic] = kind
-            self._definitions[kind] = described.get(b"message_definition", b"").decode("utf-8", "replace")
+            definition = described.get(b"message_definition", b"").decode("utf-8", "replace")
+            self._decoder.define(kind, True, "msg", definition)
         elif number in connections and len(header.get(b"time", b"")) == 8:
             seconds, nanoseconds = struct.unpack("<II", header[b"time"])
             yield connections[number], seconds * 10**9 + nanoseconds, data
 
 
-def _record1(handle: IO[bytes]) -> tuple[dict[bytes, bytes], bytes]:
-    (size,) = struct.unpack("<I", _exactly(handle, 4))
-    header = _fields1(_exactly(handle, size))
-    (size,) = struct.unpack("<I", _exactly(handle, 4))
+def _record1(handle: IO[bytes], end: int) -> tuple[dict[bytes, bytes], bytes]:
+    (size,) = struct.unpack("<I", _exactly(handle, 4, end))
+    header = _fields1(_exactly(handle, size, end))
+    (size,) = struct.unpack("<I", _exactly(handle, 4, end))
     # The messages before the cut are still good where a chunk is cut off.
-    return header, _exactly(handle, size, or_less=header.get(b"op") == b"\x05")
+    return header, _exactly(handle, size, end, or_less=header.get(b"op") == b"\x05")
 
 
 def _fields1(data: bytes) -> dict[bytes, bytes]:
@@ -162,58 +154,197 @@ def _fields1(data: bytes) -> dict[bytes, bytes]:
     return fields
 
 
-class UnindexedMcap(_Unindexed):
-    """An MCAP file without its footer."""
+@dataclass(frozen=True)
+class _Span:
+    """A chunk of an MCAP file, or a message outside of any (``kind`` None): its times, and where its data lie."""
 
-    is2 = True
+    start: int
+    end: int
+    at: int
+    size: int
+    kind: str | None
+    plain: int = 0
+    checksum: int = 0
 
-    def _walk(self) -> Iterator[tuple[str, int, bytes]]:
-        schemas: dict[int, str] = {}
-        channels: dict[int, str] = {}
+
+_ENCODINGS = {"cdr": False, "ros1": True}
+_LANGUAGES = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
+# How a time stands in the file, and the header of a chunk before the name of its compression.
+_CHUNK_HEADER = struct.Struct("<QQQII")
+_MESSAGE_HEADER = struct.Struct("<HIQQ")
+
+
+class McapFile(_Records):
+    """An MCAP file of ROS 1 or ROS 2 messages, with its index or without.
+
+    Chunks are read by their times and a chunk's messages by theirs, so that a file that was written topic by topic
+    is read as the robot saw it.
+
+    Attributes:
+        foreign: topic -> why its messages cannot be decoded: their encoding is of another kind.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Walk through the records for topics and chunks.
+
+        Raises:
+            TooLargeError: a chunk inflates to more than may be.
+        """
+        super().__init__(path)
+        self.foreign: dict[str, str] = {}
+        self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._channels: dict[int, str] = {}
+        self._ros1: dict[str, bool] = {}
+        self._spans: list[_Span] = []
+        self._handle: IO[bytes] | None = None
+        try:
+            whole = self._scan()
+        except _CutOff:
+            whole = False
+        if not whole:
+            self.trouble = "its last records are missing"
+        # Channels stand in the chunks, too; an index repeats them after all chunks, but need not.
+        if not self._channels or self.trouble:
+            try:
+                for span in self._spans:
+                    for _ in self._whole(span):
+                        pass
+            except ValueError as error:
+                self.trouble = str(error)
+
+    def deserialize(self, raw: bytes, topic: str) -> Any:
+        """Decode a message of a topic."""
+        return self._decoder.decode(raw, self.topics[topic], self._ros1.get(topic, False))
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._handle is not None:
+            self._handle.close()
+            self._handle = None
+
+    def _scan(self) -> bool:
+        """Note chunks, and what stands outside of them; returns whether the file is whole."""
         with open(self.path, "rb") as handle:
             handle.seek(8)
-            try:
-                while True:
-                    op, data = _record2(handle)
-                    self.position = handle.tell()
-                    if op == 0x06:
-                        (size,) = struct.unpack_from("<I", data, 28)
-                        kind = data[32 : 32 + size].decode("ascii", "replace")
-                        chunk = BytesIO(_decompress(data[40 + size :], kind))
-                        while chunk.tell() < len(chunk.getbuffer()):
-                            yield from self._take(*_record2(chunk), schemas, channels)
-                    elif op == 0x0F:
-                        return
+            while True:
+                head = handle.read(9)
+                if len(head) < 9:
+                    return False
+                op, size = struct.unpack("<BQ", head)
+                at = handle.tell()
+                if op == 0x02:
+                    return True
+                if op == 0x06:
+                    self._note_chunk(handle, at, size)
+                elif op in (0x03, 0x04, 0x05):
+                    if at + size > self.size:
+                        return False
+                    if op == 0x05:
+                        fields = handle.read(_MESSAGE_HEADER.size)
+                        if size < len(fields) or len(fields) < _MESSAGE_HEADER.size:
+                            return False
+                        time = _MESSAGE_HEADER.unpack(fields)[2]
+                        self._spans.append(_Span(time, time, at - 9, size + 9, None))
                     else:
-                        yield from self._take(op, data, schemas, channels)
-            except (_CutOff, struct.error):
+                        self._describe(op, handle.read(size))
+                if at + size > self.size:
+                    return False
+                handle.seek(at + size)
+
+    def _note_chunk(self, handle: IO[bytes], at: int, size: int) -> None:
+        head = handle.read(_CHUNK_HEADER.size)
+        if len(head) < _CHUNK_HEADER.size:
+            return
+        start, end, plain, checksum, letters = _CHUNK_HEADER.unpack(head)
+        kind = handle.read(min(letters, 16)).decode("ascii", "replace")
+        begin = at + _CHUNK_HEADER.size + letters + 8
+        left = min(at + size, self.size) - begin
+        if left > 0:
+            self._spans.append(_Span(start, end, begin, left, kind, plain, checksum))
+
+    def _describe(self, op: int, data: bytes) -> None:
+        """Take a schema or a channel."""
+        try:
+            if op == 0x03:
+                (number,) = struct.unpack_from("<H", data)
+                name, place = _string2(data, 2)
+                language, place = _string2(data, place)
+                definition, _ = _string2(data, place)
+                self._schemas[number] = (name, language, definition)
                 return
-
-    def _take(
-        self, op: int, data: bytes, schemas: dict[int, str], channels: dict[int, str]
-    ) -> Iterator[tuple[str, int, bytes]]:
-        if op == 0x03:
-            (number,) = struct.unpack_from("<H", data)
-            name, place = _string2(data, 2)
-            encoding, place = _string2(data, place)
-            definition, _ = _string2(data, place)
-            schemas[number] = name
-            if encoding == "ros2msg":
-                self._definitions[name] = definition
-        elif op == 0x04:
             number, schema = struct.unpack_from("<HH", data)
-            topic, _ = _string2(data, 4)
-            channels[number] = topic
-            self.topics[topic] = schemas.get(schema, "")
-        elif op == 0x05:
-            number, _, nanoseconds = struct.unpack_from("<HIQ", data)
-            if number in channels:
-                yield channels[number], nanoseconds, data[22:]
+            topic, place = _string2(data, 4)
+            encoding, _ = _string2(data, place)
+        except struct.error as error:
+            raise _CutOff from error
+        name, language, definition = self._schemas.get(schema, ("", "", ""))
+        self._channels[number] = topic
+        kind = message_type(name)
+        self.topics.setdefault(topic, kind)
+        ros1 = _ENCODINGS.get(encoding, language == "ros1msg" if not encoding else None)
+        if ros1 is None:
+            self.foreign.setdefault(topic, encoding)
+            return
+        self._ros1.setdefault(topic, ros1)
+        self._decoder.define(kind, ros1, _LANGUAGES.get(language, ""), definition)
 
+    def _records(self, span: _Span, partly: bool) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (topic, nanoseconds, raw message) of a chunk, noting schemas and channels on the way."""
+        if self._handle is None:
+            self._handle = open(self.path, "rb")  # noqa: SIM115 - close() closes it
+        self._handle.seek(span.at)
+        data = self._handle.read(span.size)
+        self.position = max(self.position, span.at + span.size)
+        if span.kind is not None:
+            data = _inflated(data, span.kind)
+            if not partly and (len(data) != span.plain or (span.checksum and zlib.crc32(data) != span.checksum)):
+                raise ValueError(f"the chunk at byte {span.at} is damaged")
+        chunk = BytesIO(data)
+        while chunk.tell() < len(data):
+            try:
+                op, size = struct.unpack("<BQ", _exactly(chunk, 9, len(data)))
+                record = _exactly(chunk, size, len(data))
+                if op in (0x03, 0x04):
+                    self._describe(op, record)
+                elif op == 0x05:
+                    number, _, nanoseconds, _ = _MESSAGE_HEADER.unpack_from(record)
+                    if number in self._channels:
+                        yield self._channels[number], nanoseconds, record[_MESSAGE_HEADER.size :]
+            except (_CutOff, struct.error) as error:
+                if partly:
+                    return
+                raise ValueError(f"the chunk at byte {span.at} is damaged") from error
 
-def _record2(handle: IO[bytes]) -> tuple[int, bytes]:
-    op, size = struct.unpack("<BQ", _exactly(handle, 9))
-    return op, _exactly(handle, size, or_less=op == 0x06)
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (topic, nanoseconds, raw message), by time."""
+        self.position = 0
+        spans = sorted(self._spans, key=lambda span: span.start)
+        # What is open: the time of its next message, a number that keeps the order of the file, the message, the rest.
+        opened: list[tuple[int, int, tuple[str, int, bytes], Iterator[tuple[str, int, bytes]]]] = []
+        number = 0
+        while opened or number < len(spans):
+            while number < len(spans) and (not opened or spans[number].start <= opened[0][0]):
+                chosen = [m for m in self._whole(spans[number]) if m[0] in topics]
+                rest = iter(sorted(chosen, key=lambda message: message[1]))
+                if (first := next(rest, None)) is not None:
+                    heapq.heappush(opened, (first[1], number, first, rest))
+                number += 1
+            if opened:
+                _, place, message, rest = opened[0]
+                following = next(rest, None)
+                if following is None:
+                    heapq.heappop(opened)
+                else:
+                    heapq.heapreplace(opened, (following[1], place, following, rest))
+                yield message
+
+    def _whole(self, span: _Span) -> Iterator[tuple[str, int, bytes]]:
+        """Yield the messages of a chunk; without its index the file may end within it."""
+        try:
+            yield from self._records(span, self.trouble != "")
+        except _CutOff as error:
+            if not self.trouble:
+                raise ValueError(f"the chunk at byte {span.at} is damaged") from error
 
 
 def _string2(data: bytes, place: int) -> tuple[str, int]:

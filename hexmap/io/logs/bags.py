@@ -1,13 +1,15 @@
 """ROS 1 bags, ROS 2 bags and MCAP files: a planar laser with odometry or tf.
 
-The scans are sensor_msgs/LaserScan. The odometry is nav_msgs/Odometry where there is one, else
-it comes from tf: the chain of frames from the laser upwards, to the frame called ``odom`` or
-else to the root (so ``map`` only where there is no ``odom``); the robot is ``base_link``, else
-``base_footprint``, else the frame right below the odometry's. How the laser is mounted comes
-from tf, too.
+The scans are sensor_msgs/LaserScan, or of sensor_msgs/MultiEchoLaserScan the first echo of each beam. Those of one
+frame are read, the first scan's where no other is asked for; scans of other frames on the topic are counted.
+
+The odometry is nav_msgs/Odometry where there is one, else it comes from tf: the parent of the lowest transform that
+moves above the robot's base. How the laser is mounted comes from tf, too (see :mod:`hexmap.io.logs.bag_frames`). Where
+a joint of the mount moves, the points of each scan are carried into the laser's frame as it was first mounted, so that
+one mount holds for all.
 
 Scans carry the odometry at their own stamp, interpolated between the readings around it; a scan
-therefore waits for the next reading, and the order of the file is kept.
+therefore waits for the next reading, and the order of the file is kept. Scans before the first reading have none.
 
 Everything is planar: of poses x, y and yaw are used. A laser mounted upside down has its points
 mirrored, so that the mount is a pose of the plane again.
@@ -17,99 +19,35 @@ from __future__ import annotations
 
 import contextlib
 import math
-import tempfile
-from collections import deque
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-
-from hexmap.base.errors import FileAccessError, LogError, MissingDependencyError
-from hexmap.base.text import reason, shown
-from hexmap.io.logs.log import Log, LogSettings, file_size
+from hexmap.base.errors import ArgumentError, FileAccessError, LogError, TooLargeError
+from hexmap.base.text import plural, reason, shown
+from hexmap.io.logs.bag_frames import FrameTree, Joints, frame_name, transforms
+from hexmap.io.logs.bag_messages import contradiction, message_stamp, odometry_reading, scan_ranges
+from hexmap.io.logs.bag_sources import BagSource
+from hexmap.io.logs.log import Log, LogSettings, Tally, file_size
+from hexmap.io.logs.open_bag import ADVICE, open_sound_bag, topic_list, topic_name
+from hexmap.io.logs.waiting import Waiting
 from hexmap.io.read_file import cannot_read
-from hexmap.poses.pose import Pose, wrap_angle
+from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 
 __all__ = ["BagLog"]
 
 _LASER = "sensor_msgs/msg/LaserScan"
+_ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 # How many tf messages are looked through for the frames between laser and odometry.
 _TF_LOOK_AHEAD = 5000
-# How many events a scan waits for the odometry reading after it, and how long in seconds.
-_WAIT_EVENTS = 200
-_WAIT_SECONDS = 2.0
 # Below this cosine (25 degrees) between the axes a laser is not planar any more.
 _TILT = 0.9
-
-_ADVICE = {
-    "rosbag1": "`rosbag reindex` may repair it",
-    "mcap": "`mcap recover` or `ros2 bag reindex` may repair it",
-    "rosbag2": "`ros2 bag reindex` may repair it",
-}
-
-Edges = dict[str, tuple[str, Pose]]
-
-
-class _Source(Protocol):
-    """A bag, whatever its format; times are in nanoseconds."""
-
-    topics: dict[str, str]
-
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]: ...
-    def deserialize(self, raw: bytes, kind: str) -> Any: ...
-    def fraction(self, nanoseconds: int) -> float: ...
-    def close(self) -> None: ...
-
-
-class _Indexed:
-    """A bag through rosbags' AnyReader."""
-
-    def __init__(self, path: Path, kind: str) -> None:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-
-        self._stack = contextlib.ExitStack()
-        try:
-            named = self._well_named(path, kind)
-            # Old ROS 2 bags do not say what their messages look like; laser, odometry and tf never changed.
-            reader = AnyReader([named], default_typestore=get_typestore(Stores.LATEST))
-            self._reader = self._stack.enter_context(reader)
-        except BaseException:
-            self._stack.close()
-            raise
-        self.topics = {c.topic: c.msgtype for c in self._reader.connections}
-
-    def _well_named(self, path: Path, kind: str) -> Path:
-        """Return a path with the suffix by which rosbags tells the formats, a link if need be."""
-        suffix = {"rosbag1": ".bag", "rosbag2": ".db3", "mcap": ".mcap"}[kind]
-        if path.is_dir() or path.suffix == suffix:
-            return path
-        folder = self._stack.enter_context(tempfile.TemporaryDirectory())
-        link = Path(folder) / f"log{suffix}"
-        link.symlink_to(path.resolve())
-        return link
-
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        chosen = [c for c in self._reader.connections if c.topic in topics]
-        if not chosen:
-            return  # rosbags takes none for all
-        for connection, nanoseconds, raw in self._reader.messages(connections=chosen):
-            yield connection.topic, nanoseconds, raw
-
-    def deserialize(self, raw: bytes, kind: str) -> Any:
-        return self._reader.deserialize(raw, kind)
-
-    def fraction(self, nanoseconds: int) -> float:
-        duration = self._reader.duration
-        return (nanoseconds - self._reader.start_time) / duration if duration > 0 else 1.0
-
-    def close(self) -> None:
-        self._stack.close()
+# Metres that a laser may move on its robot before where its beams begin is worth a word.
+_SHIFT = 0.01
 
 
 class BagLog(Log):
@@ -117,17 +55,25 @@ class BagLog(Log):
 
     Attributes:
         scan_topic: the topic of the scans.
+        scan_frame: the frame of the scans that are read.
         odometry_topic: the topic of the odometry, or None where it comes from tf or not at all.
     """
 
     _unit = "message"
 
-    def __init__(self, path: Path, settings: LogSettings, kind: str) -> None:
+    def __init__(self, path: Path, settings: LogSettings, kind: str, parts: list[Path] | None = None) -> None:
         """Choose the topics and find the frames.
+
+        Args:
+            path: the file or the folder.
+            settings: how it is read.
+            kind: "rosbag1", "rosbag2" or "mcap".
+            parts: the files of a folder without metadata, in order.
 
         Raises:
             FileAccessError: the file cannot be read.
             LogError: the bag is damaged beyond reading, or has no laser, or several.
+            TooLargeError: a chunk of it inflates to more than may be.
         """
         self.format = kind
         try:
@@ -135,32 +81,83 @@ class BagLog(Log):
         except OSError as error:
             raise cannot_read(path, error) from error
         super().__init__(path, settings, size)
-        self._without_index = False
+        self._parts = parts
         self._mirrored = False
+        self._shifted = 0.0
         # Frames from the odometry's down to the robot's, where the odometry comes from tf.
         self._tf_chain: list[str] = []
+        self._frames = FrameTree()
+        # The frames up from the robot's and from the laser's to where both meet, where the mount moves.
+        self._path: tuple[list[str], list[str]] | None = None
         source = self._open()
+        if source.trouble:
+            self._notes.append(
+                f"the bag has no sound index ({source.trouble}); read up to its last whole record; {self._advice()}"
+            )
         try:
             self._tf_topics = [topic for topic, kind in source.topics.items() if kind in _TF]
-            self.scan_topic = self._choose(source.topics, _LASER, settings.scan_topic, "scan", "scan_topic")
+            self._refuse_foreign(source)
+            self.scan_topic = self._choose_scan(source.topics)
             self.odometry_topic = self._find_odometry(source.topics)
-            self._find_frames(source)
-        except (LogError, FileAccessError):
+            self.scan_frame = self._find_frames(source)
+        except (ArgumentError, LogError, FileAccessError):
             raise
+        except TooLargeError as error:
+            raise TooLargeError(f"{path}: {error}") from error
         except Exception as error:  # a damaged bag surfaces as any error of the parsers below
             raise LogError(f"{path}: the bag cannot be read: {reason(error)}") from error
         finally:
             source.close()
 
-    def _open(self) -> _Source:
-        source, note = open_source(self.path, self.format, self._without_index)
-        if note is not None:
-            self._without_index = True
-            self._notes.append(note)
-        return source
+    def _reset(self) -> None:
+        super()._reset()
+        self._other_frames = Tally()
+        self._bad_transforms = Tally()
+        self._contradictions = Tally()
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was not as it should be, one line each, each naming the file."""
+        texts = []
+        if self._other_frames.count:
+            count = plural(self._other_frames.count, "scan")
+            texts.append(
+                f"{count} of other frames on {topic_name(self.scan_topic)} left out, the first "
+                f"of {self._other_frames.first}; those of '{shown(self.scan_frame)}' are read; choose with scan_frame"
+            )
+        if self._bad_transforms.count:
+            count = plural(self._bad_transforms.count, "transform")
+            texts.append(f"{count} of tf ignored, the first {self._bad_transforms.first}")
+        if self._contradictions.count:
+            texts.append(
+                f"{plural(self._contradictions.count, 'scan')} whose angles contradict each other, "
+                f"the first at {self._contradictions.first}; see angle_min and angle_step"
+            )
+        return [*super().warnings, *(f"{self.path.name}: {text}" for text in texts)]
+
+    def _open(self) -> BagSource:
+        return open_sound_bag(self.path, self.format, self._parts)
 
     def _advice(self) -> str:
-        return _ADVICE[self.format]
+        return ADVICE[self.format]
+
+    def _refuse_foreign(self, source: BagSource) -> None:
+        """Say so where the laser's messages are of an encoding that is none of ROS."""
+        foreign: dict[str, str] = getattr(source, "foreign", {})
+        lasers = [topic for topic, kind in source.topics.items() if kind in (_LASER, _ECHOES)]
+        if lasers and all(topic in foreign for topic in lasers):
+            raise LogError(
+                f"{self.path}: the messages on {topic_name(lasers[0])} are in the encoding "
+                f"{shown(foreign[lasers[0]])!r}; those of ROS 1 and ROS 2 (cdr) are read"
+            )
+
+    def _choose_scan(self, topics: dict[str, str]) -> str:
+        """Return the topic of the scans; with several echoes only where there is none of a plain laser."""
+        wanted = self.settings.scan_topic
+        echoes = {topic for topic, kind in topics.items() if kind == _ECHOES}
+        named = wanted is not None and any(topic.strip("/") == wanted.strip("/") for topic in echoes)
+        kind = _ECHOES if echoes and (named or _LASER not in topics.values()) else _LASER
+        return self._choose(topics, kind, wanted, "scan", "scan_topic")
 
     def _choose(self, topics: dict[str, str], kind: str, wanted: str | None, last_name: str, setting: str) -> str:
         """Return the topic of a message type: the one wanted, the only one, or the one of that last name.
@@ -174,13 +171,13 @@ class BagLog(Log):
             for topic in found:
                 if topic.strip("/") == wanted.strip("/"):
                     return topic
-            raise LogError(f"{self.path}: no {short} on topic {wanted}; topics are {_list(topics)}")
+            raise LogError(f"{self.path}: no {short} on topic {topic_name(wanted)}; topics are {topic_list(topics)}")
         if not found:
-            raise LogError(f"{self.path}: no {short}; topics are {_list(topics)}")
+            raise LogError(f"{self.path}: no {short}; topics are {topic_list(topics)}")
         named = [topic for topic in found if topic.rsplit("/", 1)[-1] == last_name]
         if len(found) == 1 or len(named) == 1:
             return found[0] if len(found) == 1 else named[0]
-        raise LogError(f"{self.path}: several {short}: {', '.join(found)}; choose one with {setting}")
+        raise LogError(f"{self.path}: several {short}: {', '.join(map(topic_name, found))}; choose one with {setting}")
 
     def _find_odometry(self, topics: dict[str, str]) -> str | None:
         wanted = self.settings.odometry_topic
@@ -188,91 +185,164 @@ class BagLog(Log):
             return None
         return self._choose(topics, _ODOMETRY, wanted, "odom", "odometry_topic")
 
-    def _first(self, source: _Source, topic: str) -> Any:
-        """Return the first message of a topic that can be decoded, or None."""
-        for _, _, raw in source.messages([topic]):
-            with contextlib.suppress(Exception):
-                return source.deserialize(raw, source.topics[topic])
+    def _first_scan(self, source: BagSource) -> str | None:
+        """Return the frame of the scans that are read; None where no scan can be decoded.
+
+        Raises:
+            LogError: no scan is of the frame that was asked for.
+        """
+        wanted = self.settings.scan_frame
+        frames: list[str] = []
+        for _, _, raw in source.messages([self.scan_topic]):
+            try:
+                frame = frame_name(source.deserialize(raw, self.scan_topic).header.frame_id)
+            except Exception:  # counted when the log is read
+                continue
+            if wanted is None or frame == frame_name(wanted):
+                return frame
+            if frame not in frames:
+                frames.append(frame)
+        if frames:
+            names = ", ".join(f"'{shown(frame)}'" for frame in frames[:8])
+            topic = topic_name(self.scan_topic)
+            raise LogError(f"{self.path}: no scan of frame {wanted!r} on {topic}; frames are {names}")
         return None
 
-    def _find_frames(self, source: _Source) -> None:
-        """Find the mount of the laser and, without an odometry topic, the chain of frames to follow."""
-        scan = self._first(source, self.scan_topic)
-        if scan is None:
-            return  # iterating ends with the error about it
-        laser = _frame(scan.header.frame_id)
-        reading = self._first(source, self.odometry_topic) if self.odometry_topic else None
-        robot = _frame(reading.child_frame_id) if reading is not None else ""
-        if not self._tf_topics:
-            if self.odometry_topic is None:
-                self._notes.append("no odometry: neither nav_msgs/Odometry nor tf")
-            return
-        edges, moving = self._edges(source, laser, robot)
-        chain = _chain(edges, laser)
+    def _first_reading(self, source: BagSource) -> tuple[str, str]:
+        """Return the frames of the first odometry message: that of its poses, and the robot's."""
+        if self.odometry_topic is not None:
+            for _, _, raw in source.messages([self.odometry_topic]):
+                with contextlib.suppress(Exception):
+                    message = source.deserialize(raw, self.odometry_topic)
+                    return frame_name(message.header.frame_id), frame_name(message.child_frame_id)
+        return "", ""
+
+    def _find_frames(self, source: BagSource) -> str:
+        """Find the mount of the laser and, without an odometry topic, the chain of frames to follow.
+
+        Returns:
+            The frame of the scans.
+        """
+        laser = self._first_scan(source)
+        if laser is None:
+            return ""  # iterating ends with the error about it
+        odometry, robot = self._first_reading(source)
+        if not self._tf_topics and self.odometry_topic is None:
+            self._notes.append("no odometry: neither nav_msgs/Odometry nor tf")
+            return laser
+        bad = self._look_ahead(source, laser, robot)
         if self.odometry_topic is None:
-            top = next((f for f in chain if _last(f) == "odom"), chain[-1])
-            below = chain[: chain.index(top)]
-            if below and below[-1] in moving:
-                robot = _base(below) or below[-1]
-                self._tf_chain = chain[chain.index(robot) : chain.index(top) + 1][::-1]
-            else:
+            self._tf_chain, _ = self._frames.odometry(laser)
+            if not self._tf_chain:
                 self._notes.append(f"no odometry: tf has no moving frame above the laser's ('{shown(laser)}')")
-        if not robot or (robot not in edges and robot not in chain):
-            robot = _base(chain) or robot
-        T = _between(edges, moving, robot, laser) if robot else None
-        if T is None:
+            else:
+                odometry, robot = self._tf_chain[0], self._tf_chain[-1]
+        found = self._frames.mount(laser, odometry, robot) if laser != robot else (robot, [], [])
+        if found is None:
             self._notes.append(
-                f"tf does not say how the laser ('{shown(laser)}') is mounted on the robot ('{shown(robot)}')"
+                f"tf does not say how the laser ('{shown(laser)}') is mounted on the robot "
+                f"('{shown(robot or 'base_link')}')"
             )
+        else:
+            self._take_mount(found[1], found[2])
+        # Transforms that are followed while the log is read are counted then.
+        followed = self._followed()
+        for topic, tally in bad.items():
+            if topic not in followed:
+                count = plural(tally.count, "transform")
+                self._notes.append(f"{count} of {topic_name(topic)} ignored, the first {tally.first}")
+        return laser
+
+    def _take_mount(self, up: list[str], down: list[str]) -> None:
+        """Take the mount that the frames between robot and laser make."""
+        if not up and not down:
             return
-        up = float(T.rotation[2, 2])
-        self._mirrored = up < 0.0
-        if abs(up) < _TILT:
+        T = self._frames.between(up, down)
+        if self._frames.moving([*up, *down]):
+            self._path = (up, down)
+        tilt = float(T.rotation[2, 2])
+        self._mirrored = tilt < 0.0
+        if abs(tilt) < _TILT:
             self._notes.append(
-                f"the laser is tilted by {math.degrees(math.acos(min(abs(up), 1.0))):.0f} degrees; taken as if level"
+                f"the laser is tilted by {math.degrees(math.acos(min(abs(tilt), 1.0))):.0f} degrees; taken as if level"
             )
         # Upside down, R is Rz(yaw) Rx(pi): its first column still is the heading.
         self.mount = Pose.planar(T.x, T.y, T.theta)
 
-    def _edges(self, source: _Source, laser: str, robot: str) -> tuple[Edges, set[str]]:
-        """Return the first transform of each frame (child: parent, T_parent_child), and which move.
+    def _look_ahead(self, source: BagSource, laser: str, robot: str) -> dict[str, Tally]:
+        """Take all transforms of tf that stand still, and those that move until the frames are known.
 
         Frames on a topic called ``tf_static`` stand still; on ``tf`` they may move.
+
+        Returns:
+            Topic -> how many transforms on it were ignored, and why the first was.
         """
-        edges: Edges = {}
-        moving: set[str] = set()
+        bad: dict[str, Tally] = {}
         static = [topic for topic in self._tf_topics if topic.rsplit("/", 1)[-1] == "tf_static"]
-        for topics in (static, [topic for topic in self._tf_topics if topic not in static]):
-            for count, (topic, _, raw) in enumerate(source.messages(topics) if topics else ()):
+        moving = [topic for topic in self._tf_topics if topic not in static]
+        for topics in (static, moving):
+            for count, (topic, _, raw) in enumerate(source.messages(topics)):
                 with contextlib.suppress(Exception):
-                    for parent, child, _, T in _transforms(source.deserialize(raw, source.topics[topic])):
-                        if topics is not static:
-                            moving.add(child)
-                        edges.setdefault(child, (parent, T))
-                if topics is static:
-                    continue
-                chain = _chain(edges, laser)
-                if any(_last(f) == "odom" for f in chain) or count >= _TF_LOOK_AHEAD:
+                    for parent, child, _, T in transforms(source.deserialize(raw, topic)):
+                        if isinstance(T, str):
+                            bad.setdefault(topic, Tally()).add(T)
+                        else:
+                            self._frames.take(parent, child, T, topics is moving)
+                if topics is moving and (count >= _TF_LOOK_AHEAD or self._is_known(laser, robot)):
                     break
-                if robot and robot in chain:
-                    break
-        return edges, moving
+        return bad
+
+    def _is_known(self, laser: str, robot: str) -> bool:
+        """Tell whether the frames are known that matter."""
+        if self.odometry_topic is not None:
+            return bool(robot) and robot in self._frames.chain(laser)
+        return self._frames.odometry(laser)[1]
+
+    def _followed(self) -> list[str]:
+        """Return the topics of tf that are read along with the scans."""
+        if not self._tf_chain and self._path is None:
+            return []
+        return [topic for topic in self._tf_topics if topic.rsplit("/", 1)[-1] != "tf_static"]
 
     def _events(self) -> Iterator[Event]:
         source = self._open()
+        joints = None if self._path is None else Joints(self._frames, *self._path)
         try:
-            yield from self._waiting(self._messages(source))
+            waiting = Waiting(self.odometry_topic is not None or bool(self._tf_chain), joints)
+            for event in waiting.events(self._messages(source, joints)):
+                if isinstance(event, Odometry):
+                    self.odometry += 1
+                    yield event
+                else:
+                    self.scans += 1
+                    yield event if joints is None else self._carried(event, joints)
         finally:
             source.close()
+        if self._shifted > _SHIFT:
+            self._late_notes.append(
+                f"the laser moves on its robot by up to {self._shifted:.2f} m; where nothing is in its way is counted "
+                "from where it was mounted first"
+            )
 
-    def _messages(self, source: _Source) -> Iterator[Event]:
-        """Decode the messages; scans are yielded without odometry."""
-        topics = [self.scan_topic]
+    def _carried(self, scan: Scan, joints: Joints) -> Scan:
+        """Return a scan as the laser would have seen it where it was mounted first."""
+        T = joints.mount(scan.stamp)
+        assert self.mount is not None
+        moved = self.mount.inverse() @ Pose.planar(T.x, T.y, T.theta)
+        if moved.is_close(Pose.identity(2), 1e-9, 1e-9):
+            return scan
+        self._shifted = max(self._shifted, math.hypot(moved.x, moved.y))
+        return replace(scan, points=moved.apply(scan.points), no_return=scan.no_return @ moved.rotation.T)
+
+    def _messages(self, source: BagSource, joints: Joints | None) -> Iterator[Event]:
+        """Decode the messages; scans are yielded without odometry, and joints take what is theirs."""
+        self._shifted = 0.0
+        topics = [self.scan_topic, *self._followed()]
         if self.odometry_topic is not None:
             topics.append(self.odometry_topic)
-        elif self._tf_chain:
-            topics.extend(self._tf_topics)
-        edges: dict[str, Pose] = {}
+        edges = {
+            child: self._frames.transform(child) for child in self._tf_chain[1:] if not self._frames.moving([child])
+        }
         messages = iter(source.messages(topics))
         number = 0
         while True:
@@ -282,33 +352,42 @@ class BagLog(Log):
                 return
             except Exception as error:  # damage within the file: what came before is good
                 if number == 0:
-                    raise LogError(f"{self.path}: the bag cannot be read: {reason(error)}; {self._advice()}") from error
+                    kind = TooLargeError if isinstance(error, TooLargeError) else LogError
+                    raise kind(f"{self.path}: the bag cannot be read: {reason(error)}; {self._advice()}") from error
                 self._late_notes.append(f"the bag is damaged after message {number}: {reason(error)}")
                 return
             number += 1
             self.position = int(self.size * min(max(source.fraction(nanoseconds), 0.0), 1.0))
             events: list[Event] = []
             try:
-                message = source.deserialize(raw, source.topics[topic])
+                message = source.deserialize(raw, topic)
                 if topic == self.scan_topic:
-                    events = [self._scan(message, nanoseconds, number)]
+                    if frame_name(message.header.frame_id) == self.scan_frame:
+                        events = [self._scan(message, nanoseconds, number)]
+                    else:
+                        frame = shown(frame_name(message.header.frame_id))
+                        self._other_frames.add(f"'{frame}' at message {number}")
                 elif topic == self.odometry_topic:
-                    pose = _pose3(message.pose.pose.position, message.pose.pose.orientation)
-                    stamp = _stamp(message.header, nanoseconds)
-                    events = [Odometry(stamp, Pose.planar(pose.x, pose.y, pose.theta), number)]
+                    events = [odometry_reading(message, nanoseconds, number)]
                 else:
-                    events = self._follow(message, nanoseconds, number, edges)
+                    where = f"{number} ({topic_name(topic)})"
+                    events = self._follow(message, nanoseconds, where, number, edges, joints)
             except Exception as error:  # one bad message, of any kind, is skipped and counted
-                self._skipped.add(f"message {number} ({topic}): {reason(error)}")
+                self._skipped.add(f"message {number} ({topic_name(topic)}): {reason(error)}")
             yield from events
 
     def _scan(self, message: Any, nanoseconds: int, number: int) -> Scan:
-        ranges = np.asarray(message.ranges, dtype=np.float64)
+        ranges = scan_ranges(message)
         first, step = float(message.angle_min), float(message.angle_increment)
         if not len(ranges):
             raise ValueError("a scan of 0 beams")
         if not (math.isfinite(first) and math.isfinite(step)) or (step == 0.0 and len(ranges) > 1):
-            raise ValueError(f"beams from {first} by {step}")
+            if self.settings.angle_min is None or self.settings.angle_step is None:
+                raise ValueError(f"beams from {first} by {step}")
+        elif self.settings.angle_step is None:
+            found = contradiction(first, float(message.angle_max), step, len(ranges))
+            if found:
+                self._contradictions.add(f"message {number}: {found}")
         limit, maximum = self.settings.no_return, float(message.range_max)
         if 0.0 < maximum < limit:
             limit = maximum
@@ -316,13 +395,21 @@ class BagLog(Log):
         points, rays, dropped = self._beams.split(ranges, directions, limit, float(message.range_min))
         if dropped:
             self._dropped.add(f"message {number}", dropped)
-        return Scan(_stamp(message.header, nanoseconds), points, rays, None, number)
+        return Scan(message_stamp(message.header, nanoseconds), points, rays, None, number)
 
-    def _follow(self, message: Any, nanoseconds: int, number: int, edges: dict[str, Pose]) -> list[Event]:
+    def _follow(
+        self, message: Any, nanoseconds: int, where: str, number: int, edges: dict[str, Pose], joints: Joints | None
+    ) -> list[Event]:
         """Take the transforms of a tf message; a reading is made when the frame below the odometry's moves."""
         chain = self._tf_chain
         events: list[Event] = []
-        for parent, child, header, T in _transforms(message):
+        for parent, child, header, T in transforms(message):
+            if isinstance(T, str):
+                self._bad_transforms.add(f"at message {where}: {T}")
+                continue
+            stamp = message_stamp(header, nanoseconds)
+            if joints is not None:
+                joints.take(parent, child, stamp, T)
             if child not in chain[1:] or parent != chain[chain.index(child) - 1]:
                 continue
             edges[child] = T
@@ -330,169 +417,8 @@ class BagLog(Log):
                 pose = Pose.identity(3)
                 for frame in chain[1:]:
                     pose = pose @ edges[frame]
-                events.append(Odometry(_stamp(header, nanoseconds), Pose.planar(pose.x, pose.y, pose.theta), number))
+                events.append(Odometry(stamp, Pose.planar(pose.x, pose.y, pose.theta), number))
         return events
 
-    def _waiting(self, events: Iterable[Event]) -> Iterator[Event]:
-        """Give each scan the odometry at its stamp; it waits for the reading after it, but not for long."""
-        if self.odometry_topic is None and not self._tf_chain:
-            for event in events:
-                yield self._count(event)
-            return
-        held: deque[Event] = deque()
-        before: Odometry | None = None  # the last reading but one
-        last: Odometry | None = None
-        for event in events:
-            if isinstance(event, Odometry):
-                before, last = last, event
-                for i, waiting in enumerate(held):
-                    if isinstance(waiting, Scan) and waiting.odometry is None and waiting.stamp <= event.stamp:
-                        held[i] = replace(waiting, odometry=_at(waiting.stamp, before, event))
-            elif isinstance(event, Scan) and last is not None and event.stamp <= last.stamp:
-                event = replace(event, odometry=_at(event.stamp, before, last))
-            held.append(event)
-            while held:
-                front = held[0]
-                if isinstance(front, Scan) and front.odometry is None:
-                    if len(held) < _WAIT_EVENTS and abs(event.stamp - front.stamp) < _WAIT_SECONDS:
-                        break
-                    front = replace(front, odometry=_newest(held, last, before))
-                held.popleft()
-                yield self._count(front)
-        for event in held:
-            if isinstance(event, Scan) and event.odometry is None and last is not None:
-                event = replace(event, odometry=last.pose)
-            yield self._count(event)
-
-    def _count(self, event: Event) -> Event:
-        if isinstance(event, Scan):
-            self.scans += 1
-        else:
-            self.odometry += 1
-        return event
-
     def _no_laser(self) -> str:
-        return f"{self.path}: no laser reading on topic {self.scan_topic}"
-
-
-def open_source(path: Path, kind: str, without_index: bool = False) -> tuple[_Source, str | None]:
-    """Open a bag of a format, through its index where that is sound; else a note says that it is not.
-
-    Raises:
-        FileAccessError: the file cannot be read.
-        LogError: the bag is damaged beyond reading.
-    """
-    if without_index:
-        return _unindexed(path, kind), None
-    try:
-        return _Indexed(path, kind), None
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(f"{path}: reading bags takes the package rosbags: {error}") from error
-    except PermissionError as error:
-        raise cannot_read(path, error) from error
-    except Exception as error:  # a damaged bag surfaces as any error of the parsers below
-        why = reason(error)
-    if path.is_file() and kind in ("rosbag1", "mcap"):
-        with contextlib.suppress(Exception):
-            source = _unindexed(path, kind)
-            if source.topics:
-                return source, f"the bag has no sound index ({why}); read up to its last whole record; {_ADVICE[kind]}"
-    raise LogError(f"{path}: the bag cannot be read: {why}; {_ADVICE[kind]}")
-
-
-def _unindexed(path: Path, kind: str) -> _Source:
-    from hexmap.io.logs.bag_recovery import UnindexedMcap, UnindexedRosbag1
-
-    return UnindexedRosbag1(path) if kind == "rosbag1" else UnindexedMcap(path)
-
-
-def topic_list(topics: dict[str, str]) -> str:
-    """Return topics and their types in one line."""
-    return _list(topics)
-
-
-def _list(topics: dict[str, str]) -> str:
-    if not topics:
-        return "none"
-    return ", ".join(f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in sorted(topics.items()))
-
-
-def _frame(name: str) -> str:
-    return name.strip("/")
-
-
-def _last(frame: str) -> str:
-    return frame.rsplit("/", 1)[-1]
-
-
-def _stamp(header: Any, nanoseconds: int) -> float:
-    """Return the stamp in seconds: the header's, or the time of recording where that was never filled in."""
-    seconds = header.stamp.sec + header.stamp.nanosec * 1e-9
-    return float(seconds if seconds != 0 else nanoseconds * 1e-9)
-
-
-def _pose3(position: Any, orientation: Any) -> Pose:
-    return Pose.from_quaternion(
-        (position.x, position.y, position.z), (orientation.x, orientation.y, orientation.z, orientation.w)
-    )
-
-
-def _transforms(message: Any) -> Iterator[tuple[str, str, Any, Pose]]:
-    """Yield (parent, child, header, T_parent_child) of a tf message."""
-    for item in message.transforms:
-        T = _pose3(item.transform.translation, item.transform.rotation)
-        yield _frame(item.header.frame_id), _frame(item.child_frame_id), item.header, T
-
-
-def _chain(edges: Edges, frame: str) -> list[str]:
-    """Return a frame and all above it, up to the root; stops where damaged tf runs in a circle."""
-    chain = [frame]
-    while chain[-1] in edges and edges[chain[-1]][0] not in chain:
-        chain.append(edges[chain[-1]][0])
-    return chain
-
-
-def _base(chain: list[str]) -> str | None:
-    for name in ("base_link", "base_footprint"):
-        for frame in chain:
-            if _last(frame) == name:
-                return frame
-    return None
-
-
-def _between(edges: Edges, moving: set[str], robot: str, laser: str) -> Pose | None:
-    """Return T_robot_laser by their common frame, or None where there is none.
-
-    Below the robot a joint may come on tf as well as on tf_static; above it only joints that
-    stand still count, or the robot's own motion would get into the mount.
-    """
-    up, down = _chain(edges, robot), _chain(edges, laser)
-    common = next((frame for frame in up if frame in down), None)
-    if common is None:
-        return None
-    if common != robot and any(f in moving for f in up[: up.index(common)] + down[: down.index(common)]):
-        return None
-
-    def to_common(chain: list[str]) -> Pose:
-        T = Pose.identity(3)
-        for frame in chain[: chain.index(common)]:
-            T = edges[frame][1] @ T
-        return T
-
-    return to_common(up).inverse() @ to_common(down)
-
-
-def _newest(held: Iterable[Event], last: Odometry | None, before: Odometry | None) -> Pose | None:
-    """Return the newest pose that is known, for a scan that no reading followed in time."""
-    reading = last or before
-    return None if reading is None else reading.pose
-
-
-def _at(stamp: float, before: Odometry | None, after: Odometry) -> Pose:
-    """Return the odometry at ``stamp``, which is not after ``after``."""
-    if before is None or not before.stamp <= stamp < after.stamp:
-        return after.pose
-    part = (stamp - before.stamp) / (after.stamp - before.stamp)
-    a, b = before.pose, after.pose
-    turn = float(wrap_angle(b.theta - a.theta))
-    return Pose.planar(a.x + part * (b.x - a.x), a.y + part * (b.y - a.y), a.theta + part * turn)
+        return f"{self.path}: no laser reading on topic {topic_name(self.scan_topic)}"

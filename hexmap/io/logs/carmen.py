@@ -8,14 +8,23 @@ The lines that are read, in metres and radians::
         remission_mode n r1..rn m s1..sm laser_x laser_y laser_theta robot_x robot_y robot_theta
         tv rv forward_safety side_safety turn_axis [ipc_time host logger_time]
     ROBOTLASER2 (the same, the rear laser)
+    RAWLASER1 type start_angle field_of_view angular_resolution maximum_range accuracy
+        remission_mode n r1..rn m s1..sm [ipc_time host logger_time]
+    RAWLASER2 (the same, the rear laser)
     ODOM x y theta tv rv accel [ipc_time host logger_time]
+    PARAM robot_frontlaser_offset metres ...
 
 All other lines and comments are passed over. Only one kind of laser line is used, because logs
-often hold the same scan as ROBOTLASER1 and as FLASER: of a front laser ROBOTLASER1 before
-FLASER. Which kinds a log has is judged by its first laser line and the 1,000 lines after it.
+often hold the same scan as ROBOTLASER1, as FLASER and as RAWLASER1: of a front laser in this order.
+Which kinds a log has is judged by its first laser line and the 1,000 lines after it.
+
+How a laser is mounted say the poses of a ROBOTLASER line; else PARAM lines ``robot_frontlaser_offset`` (metres
+forward), ``..._side_offset`` (metres to the left) and ``..._angular_offset`` (radians), or ``robot_rearlaser_...``,
+where the offset is forward as well, so mostly negative, and the laser looks back unless an angle is given.
 
 The order of the lines is the order of events. Stamps repeat, step back and may be too coarse to
-tell anything; they are handed on and never used here.
+tell anything; they are handed on and used here only for RAWLASER lines, which have no odometry of
+their own: they get that of the ODOM lines around them, by time.
 """
 
 from __future__ import annotations
@@ -29,17 +38,21 @@ import numpy as np
 from hexmap.base.text import plural, shown
 from hexmap.io.logs.log import LogSettings
 from hexmap.io.logs.text_log import BadLine, TextLog, floats, not_a_number, numbers, tag_of
+from hexmap.io.logs.waiting import Waiting
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 
 __all__ = ["CarmenLog"]
 
-_PREFERENCE: dict[str | None, tuple[bytes, ...]] = {
-    None: (b"ROBOTLASER1", b"FLASER", b"ROBOTLASER2", b"RLASER"),
-    "front": (b"ROBOTLASER1", b"FLASER"),
-    "rear": (b"ROBOTLASER2", b"RLASER"),
-}
-_LASERS = frozenset((b"FLASER", b"RLASER", b"ROBOTLASER1", b"ROBOTLASER2"))
+_FRONT = (b"ROBOTLASER1", b"FLASER", b"RAWLASER1")
+_REAR = (b"ROBOTLASER2", b"RLASER", b"RAWLASER2")
+_PREFERENCE: dict[str | None, tuple[bytes, ...]] = {None: _FRONT + _REAR, "front": _FRONT, "rear": _REAR}
+# Lines that describe their laser: how many numbers stand between the remissions and the stamp.
+_DESCRIBED = {b"ROBOTLASER1": 11, b"ROBOTLASER2": 11, b"RAWLASER1": 0, b"RAWLASER2": 0}
+# Of a PARAM line after robot_frontlaser or robot_rearlaser.
+_OFFSETS = (b"_offset", b"_side_offset", b"_angular_offset")
+_FARTHEST_OFFSET = 1000.0  # metres or radians
+_WIDEST = 1000.0  # radians: no fan of beams, not even one in degrees
 _LOOK_AHEAD = 1000
 
 
@@ -55,9 +68,14 @@ class CarmenLog(TextLog):
             FileAccessError: the file cannot be read.
         """
         super().__init__(path, settings, compressed)
+        self._offsets: dict[bytes, float] = {}
         self._laser = self._look_ahead()
-        if self._laser == b"RLASER" and self.mount is None:
-            self._notes.append("the log does not say how the rear laser (RLASER) is mounted; set the mount")
+        if self._laser is not None and not self._laser.startswith(b"ROBOT"):
+            self.mount = self._offset_mount(self._laser)
+        if self._laser in (b"RLASER", b"RAWLASER2") and self.mount is None:
+            self._notes.append(
+                f"the log does not say how the rear laser ({self._laser.decode()}) is mounted; set the mount"
+            )
         self._reset()
 
     def _look_ahead(self) -> bytes | None:
@@ -68,6 +86,8 @@ class CarmenLog(TextLog):
         left = _LOOK_AHEAD
         for _, line in self.lines():
             tag = tag_of(line)
+            if tag == b"PARAM":
+                self._take_offset(line.split(None, 3))
             if tag in wanted:
                 rank = wanted.index(tag)
                 if best is None or rank < best:
@@ -80,12 +100,42 @@ class CarmenLog(TextLog):
                     break
         return None if best is None else wanted[best]
 
+    def _take_offset(self, words: list[bytes]) -> None:
+        """Take a PARAM line, if it says where a laser is; the last one of a name counts."""
+        if len(words) < 3 or not words[1].startswith((b"robot_frontlaser_", b"robot_rearlaser_")):
+            return
+        name = words[1].removeprefix(b"robot_")
+        if any(name in (b"frontlaser" + offset, b"rearlaser" + offset) for offset in _OFFSETS):
+            try:
+                value = floats([words[2]], name.decode())[0]
+                if abs(value) > _FARTHEST_OFFSET:
+                    raise BadLine(f"{value:g} is no place on a robot")
+                self._offsets[name] = value
+            except BadLine as bad:
+                self._notes.append(f"PARAM {shown(words[1])} ignored: {bad}")
+
+    def _offset_mount(self, laser: bytes) -> Pose | None:
+        """Return T_robot_laser of the PARAM lines; None where there are none, or the laser is where the robot is."""
+        side = b"frontlaser" if laser in _FRONT else b"rearlaser"
+        x, y, theta = (self._offsets.get(side + offset) for offset in _OFFSETS)
+        if x is None and y is None and theta is None:
+            return None
+        if theta is None:
+            theta = 0.0 if laser in _FRONT else math.pi
+        mount = Pose.planar(x or 0.0, y or 0.0, theta)
+        return None if mount.is_close(Pose.identity(2)) else mount
+
     def _events(self) -> Iterator[Event]:
+        if self._laser is None or not self._laser.startswith(b"RAW"):
+            yield from self._lines()
+            return
+        yield from Waiting(True, None).events(self._lines())
+
+    def _lines(self) -> Iterator[Event]:
+        """Yield what the lines say."""
         wanted = self._laser
-        others = _LASERS if self.settings.laser is None else frozenset[bytes]()
-        # A log with ROBOTLASER1 and FLASER holds the same scans twice: leaving one out needs no warning.
-        if wanted in (b"ROBOTLASER1", b"FLASER"):
-            others = frozenset((b"RLASER", b"ROBOTLASER2")) & others
+        # A log may hold the same scans in several kinds of lines: leaving these out needs no warning.
+        others = (_REAR if wanted in _FRONT else _FRONT) if self.settings.laser is None else ()
         stamp = 0.0
         unstamped = 0
         for number, line in self.lines():
@@ -123,15 +173,18 @@ class CarmenLog(TextLog):
         """Read a laser line; returns its own stamp (or None) and the scan."""
         angle_min = angle_step = None
         limit = self.settings.no_return
-        if tokens[0].startswith(b"ROBOT"):
-            fields, ranges, tail = _robotlaser(tokens)
-            odometry = tail[3:6]
+        odometry: list[float] | None = None
+        if tokens[0] in _DESCRIBED:
+            fields, ranges, tail = _described(tokens)
+            odometry = tail[3:6] or None
             angle_min, angle_step = fields[1], fields[3]
             if not angle_step > 0.0:
                 angle_step = fields[2] / max(len(ranges) - 1, 1)
+            if not abs(angle_min) + abs(angle_step) * len(ranges) < _WIDEST:
+                raise BadLine(f"beams from {angle_min:g} by {angle_step:g} rad")
             if fields[4] > 0.0:
                 limit = min(limit, fields[4])
-            time = _stamp(tokens, len(tokens) - 3) if len(tail) > 11 else None
+            time = _stamp(tokens, len(tokens) - 3) if tail[-1:] == [math.inf] else None
         else:
             beams = _count(tokens, 1)
             tail_length = len(tokens) - 2 - beams
@@ -151,7 +204,7 @@ class CarmenLog(TextLog):
         if dropped:
             self._dropped.add(f"line {number}", dropped)
         stamp = last_stamp if time is None else time
-        return time, Scan(stamp, points, rays, Pose.planar(*odometry), number)
+        return time, Scan(stamp, points, rays, None if odometry is None else Pose.planar(*odometry), number)
 
     def _no_laser(self) -> str:
         names = ", ".join(tag.decode() for tag in _PREFERENCE.get(self.settings.laser, ()))
@@ -183,8 +236,11 @@ def _wrong_number(tokens: list[bytes], beams: int, tail: int) -> str:
     return f"{beams} beams announced, {found} found"
 
 
-def _robotlaser(tokens: list[bytes]) -> tuple[list[float], list[float], list[float]]:
-    """Return the seven fields before the beams, the ranges, and the numbers after the remissions."""
+def _described(tokens: list[bytes]) -> tuple[list[float], list[float], list[float]]:
+    """Return the seven fields before the beams, the ranges, and the numbers of the poses after the remissions.
+
+    The last of these is infinite where a stamp follows; RAWLASER lines have no others.
+    """
     beams = _count(tokens, 8)
     if len(tokens) < 10 + beams:
         raise BadLine(f"{beams} beams announced, {max(len(tokens) - 9, 0)} found")
@@ -193,14 +249,14 @@ def _robotlaser(tokens: list[bytes]) -> tuple[list[float], list[float], list[flo
     after = tokens[9 + beams :]
     remissions = _count_remissions(after[0], beams)
     tail = after[1 + remissions :]
-    if len(tail) not in (11, 14):
+    poses = _DESCRIBED[tokens[0]]
+    if len(tail) not in (poses, poses + 3):
         raise BadLine(
-            f"{beams} beams announced and {remissions} remissions, then {len(tail)} fields follow instead of 14"
+            f"{beams} beams announced and {remissions} remissions, "
+            f"then {len(tail)} fields follow instead of {poses + 3}"
         )
-    poses = floats(tail[:11], "pose")
-    if len(tail) == 14:
-        poses.append(math.nan)  # marks that a stamp follows
-    return fields, ranges, poses
+    found = floats(tail[:poses], "pose")
+    return fields, ranges, [*found, math.inf] if len(tail) > poses else found
 
 
 def _count_remissions(token: bytes, beams: int) -> int:
@@ -217,8 +273,10 @@ def _count_remissions(token: bytes, beams: int) -> int:
 def _mount(tokens: list[bytes]) -> Pose | None:
     """Return T_robot_laser of a ROBOTLASER line, or None where both poses are the same or unreadable."""
     try:
-        _, _, tail = _robotlaser(tokens)
+        _, _, tail = _described(tokens)
     except BadLine:
+        return None
+    if math.hypot(tail[0] - tail[3], tail[1] - tail[4]) > _FARTHEST_OFFSET:
         return None
     mount = Pose.planar(*tail[3:6]).inverse() @ Pose.planar(*tail[0:3])
     # The poses are printed with six digits, so a mount of less than that is none.

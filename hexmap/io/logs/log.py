@@ -17,7 +17,7 @@ from hexmap.base.text import plural
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
 
-LASERS = ("front", "rear", "FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2")
+LASERS = ("front", "rear", "FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "RAWLASER1", "RAWLASER2")
 
 # Lasers whose number of beams tells their field of view: (first beam, step), radians.
 # 180 and 360 beams stop one step short of +90 degrees; 181, 361 and 721 include it.
@@ -36,11 +36,12 @@ class LogSettings:
             None: as for ``angle_min``.
         no_return: metres; a range at or above it is a beam that returned nothing. A smaller
             maximum range in the log itself (ROBOTLASER1, LaserScan) is used instead.
-        laser: which laser of a CARMEN log: "front" (ROBOTLASER1, else FLASER), "rear"
-            (ROBOTLASER2, else RLASER), or one of the four by name. None: front, or rear where
-            the log has no front laser.
+        laser: which laser of a CARMEN log: "front" (ROBOTLASER1, else FLASER, else RAWLASER1), "rear"
+            (ROBOTLASER2, else RLASER, else RAWLASER2), or one of the six by name. None: front, or
+            rear where the log has no front laser.
         scan_topic: topic of the sensor_msgs/LaserScan in a bag. None: the only one, or of
-            several the only one whose last name is ``scan``.
+            several the only one whose last name is ``scan``; sensor_msgs/MultiEchoLaserScan where there is none.
+        scan_frame: frame of the scans in a bag, where one topic has scans of several lasers. None: the first scan's.
         odometry_topic: topic of the nav_msgs/Odometry in a bag. None: the only one, or of
             several the only one whose last name is ``odom``; without any, tf.
     """
@@ -51,6 +52,7 @@ class LogSettings:
     laser: str | None = None
     scan_topic: str | None = None
     odometry_topic: str | None = None
+    scan_frame: str | None = None
 
     def __post_init__(self) -> None:
         """Check the values.

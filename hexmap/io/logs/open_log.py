@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hexmap.base.errors import FileAccessError, LogError
 from hexmap.io import file_kinds
+from hexmap.io.logs.bag_sources import are_parts, in_order
 from hexmap.io.logs.log import Log, LogSettings
 from hexmap.io.read_file import GzipError, beginning, cannot_read, inflated
 
@@ -80,20 +81,39 @@ def open_log(path: str | os.PathLike[str], settings: LogSettings | None = None) 
 def is_log(path: Path) -> bool:
     """Tell whether a file or folder looks like a log that :func:`open_log` reads, by how it begins."""
     if path.is_dir():
-        return (path / "metadata.yaml").is_file()
+        return (path / "metadata.yaml").is_file() or bool(_storages(path))
     return file_kinds.find_kind(beginning(path), (*_BAGS, file_kinds.WEAN_LOG, file_kinds.CARMEN_LOG)) is not None
 
 
-def bag_kind(path: Path) -> str | None:
-    """Return "rosbag1", "rosbag2" or "mcap" for a bag, by how it begins; None for anything else."""
-    if path.is_dir():
-        metadata = path / "metadata.yaml"
-        if not metadata.is_file():
-            return None
-        text = metadata.read_text(encoding="utf-8", errors="replace")
-        return "mcap" if "storage_identifier: mcap" in text else "rosbag2"
-    found = file_kinds.find_kind(beginning(path), _BAGS)
-    return None if found is None else _BAGS[found]
+def bag_kind(path: Path) -> tuple[str, list[Path] | None] | None:
+    """Return "rosbag1", "rosbag2" or "mcap" for a bag, by how it begins, and its files where they are the parts of one.
+
+    None for anything else.
+
+    Raises:
+        LogError: a folder of bags that are not the parts of one recording.
+    """
+    if not path.is_dir():
+        found = file_kinds.find_kind(beginning(path), _BAGS)
+        return None if found is None else (_BAGS[found], None)
+    metadata = path / "metadata.yaml"
+    if metadata.is_file():
+        with open(metadata, encoding="utf-8", errors="replace") as handle:
+            text = handle.read(1 << 16)
+        return "mcap" if "storage_identifier: mcap" in text else "rosbag2", None
+    storages = _storages(path)
+    if not storages:
+        return None
+    names = ", ".join(storage.name for storage in storages[:4]) + (", ..." if len(storages) > 4 else "")
+    kinds = {_BAGS.get(kind) for storage in storages if (kind := file_kinds.find_kind(beginning(storage), _BAGS))}
+    whole = all(file_kinds.find_kind(beginning(storage), _BAGS) for storage in storages)
+    if not are_parts(storages) or len(kinds) != 1 or not whole:
+        why = "not the parts of one recording" if len(storages) > 1 else "no bag"
+        raise LogError(
+            f"{path}: a folder without metadata.yaml is not a ROS 2 bag, and the files in it ({names}) are {why}; "
+            "name the file to read, or run `ros2 bag reindex`"
+        )
+    return str(kinds.pop()), in_order(storages)
 
 
 def _beginning(path: Path, head: bytes) -> bytes:
@@ -113,10 +133,14 @@ def _open_bag(path: Path, settings: LogSettings, kind: str) -> Log:
 
 
 def _open_folder(path: Path, settings: LogSettings) -> Log:
-    metadata = path / "metadata.yaml"
-    if not metadata.is_file():
-        storages = sorted(entry.name for entry in path.iterdir() if entry.suffix in (".db3", ".mcap", ".bag"))
-        advice = f"; name the file in it ({storages[0]}) or run `ros2 bag reindex`" if storages else ""
-        raise LogError(f"{path}: a folder without metadata.yaml is not a ROS 2 bag{advice}")
-    text = metadata.read_text(encoding="utf-8", errors="replace")
-    return _open_bag(path, settings, "mcap" if "storage_identifier: mcap" in text else "rosbag2")
+    found = bag_kind(path)
+    if found is None:
+        raise LogError(f"{path}: a folder without metadata.yaml is not a ROS 2 bag, and no bags are in it")
+    from hexmap.io.logs.bags import BagLog
+
+    return BagLog(path, settings, *found)
+
+
+def _storages(path: Path) -> list[Path]:
+    """Return the files in a folder that are bags by their names."""
+    return sorted(entry for entry in path.iterdir() if entry.suffix in (".db3", ".mcap", ".bag") and entry.is_file())

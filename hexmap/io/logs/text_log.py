@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from hexmap.base.errors import FileAccessError, LogError
+from hexmap.base.errors import FileAccessError, LogError, TooLargeError
 from hexmap.base.text import reason, shown
+from hexmap.io.file_kinds import BOM
 from hexmap.io.logs.log import Log, LogSettings, file_size
-from hexmap.io.read_file import CHUNK, GzipError, cannot_read, inflated
+from hexmap.io.read_file import CHUNK, GzipError, cannot_read, inflated, inflation_limit
 
 __all__ = ["BadLine", "TextLog", "floats", "not_a_number", "numbers", "tag_of"]
 
@@ -52,7 +53,15 @@ class TextLog(Log):
         rest = b""
         number = 0
         try:
-            for text in inflated(self._chunks()) if self._compressed else self._chunks():
+            for text in self._inflated() if self._compressed else self._chunks():
+                if number == 0 and not rest:
+                    text = text.removeprefix(BOM)
+                if not rest and text.isspace():
+                    # Nothing but line ends, millions of them perhaps.
+                    number += text.count(b"\n")
+                    self.lines_read = number
+                    rest = text[text.rfind(b"\n") + 1 :]
+                    continue
                 lines = (rest + text).split(b"\n")
                 rest = lines.pop()
                 for line in lines:
@@ -70,6 +79,22 @@ class TextLog(Log):
             self.whole_last_line = False
             self.lines_read = number + 1
             yield number + 1, rest
+
+    def _inflated(self) -> Iterator[bytes]:
+        """Yield the text inside a gzip file.
+
+        Raises:
+            TooLargeError: it is more than the file's size can account for.
+        """
+        size, limit = 0, inflation_limit(self.size)
+        for text in inflated(self._chunks()):
+            size += len(text)
+            if size > limit:
+                raise TooLargeError(
+                    f"{self.path}: {self.size} bytes of gzip hold more than {limit}; "
+                    "HEXMAP_MAX_INFLATION raises the limit"
+                )
+            yield text
 
     def _chunks(self) -> Iterator[bytes]:
         """Yield the bytes of the file."""

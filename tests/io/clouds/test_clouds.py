@@ -494,7 +494,6 @@ def test_kitti_what_can_be_wrong(tmp_path: Path) -> None:
     wild = bytearray(kitti())
     struct.pack_into("<f", wild, 16 * 3 + 4, 1e30)
     fails(tmp_path, bytes(wild), "byte 52", "1e+30", name="a.bin")
-    fails(tmp_path, kitti(), "nuScenes", name="a.pcd.bin")
     assert len(read(tmp_path, kitti(), name="b.pcd.bin", format="kitti")) == 50
     assert read(tmp_path, kitti(), name="a.bin", columns=("x", 3)).points[:, 1].tolist() == [1.0] * 50
     assert read(tmp_path, pcd(), name="really_a_pcd.bin").format == "pcd"

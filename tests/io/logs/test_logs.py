@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hexmap.base.errors import ArgumentError, FileAccessError, LogError
+from hexmap.base.errors import ArgumentError, FileAccessError, LogError, TooLargeError
 from hexmap.io.logs.log import LogSettings
-from hexmap.io.logs.open_log import open_log
+from hexmap.io.logs.open_log import is_log, open_log
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Odometry, Scan
 from tests.observing import count_calls
@@ -386,3 +386,95 @@ def test_real_logs(data_dir: Path, name: str, scans: int, odometry: int, rays: i
 def test_real_log_of_another_format_is_refused(data_dir: Path) -> None:
     with pytest.raises(LogError, match="no laser reading"):
         list(open_log(data_dir / "laser2d" / "intel.association.csv"))
+
+
+@pytest.mark.parametrize(
+    ("tag", "params", "mount"),
+    [
+        ("FLASER", ["robot_frontlaser_offset 0.3 nohost 0"], Pose.planar(0.3, 0.0, 0.0)),
+        ("FLASER", ["robot_frontlaser_offset 0.1", "robot_frontlaser_offset 0.3"], Pose.planar(0.3, 0.0, 0.0)),
+        (
+            "FLASER",
+            ["robot_frontlaser_offset 0.3", "robot_frontlaser_side_offset -0.1", "robot_frontlaser_angular_offset 0.2"],
+            Pose.planar(0.3, -0.1, 0.2),
+        ),
+        ("FLASER", ["robot_rearlaser_offset -0.3", "robot_frontlaser_offset 0.0"], None),
+        ("RLASER", ["robot_rearlaser_offset -0.3", "robot_frontlaser_offset 1"], Pose.planar(-0.3, 0, math.pi)),
+        ("RLASER", ["robot_rearlaser_offset -0.3", "robot_rearlaser_angular_offset 3.0"], Pose.planar(-0.3, 0, 3.0)),
+    ],
+)
+def test_params_say_how_a_laser_is_mounted(tmp_path: Path, tag: str, params: list[str], mount: Pose | None) -> None:
+    lines = [*(f"PARAM {param}" for param in params), flaser(tag=tag)]
+    log, _ = read(write(tmp_path / "a.log", *lines))
+    assert (log.mount is None) if mount is None else log.mount.is_close(mount)
+    assert log.warnings == []
+
+
+def test_a_param_that_is_no_number_is_told_and_poses_of_a_line_come_first(tmp_path: Path) -> None:
+    log, _ = read(write(tmp_path / "a.log", "PARAM robot_frontlaser_offset none", flaser()))
+    assert log.mount is None and "PARAM robot_frontlaser_offset ignored: 'none' is not a number" in log.warnings[0]
+    both = write(tmp_path / "b.log", "PARAM robot_frontlaser_offset 0.7", robotlaser(RANGES))
+    assert read(both)[0].mount.is_close(Pose.planar(0.2 * math.cos(0.5), -0.2 * math.sin(0.5), 0.0))
+
+
+def rawlaser(stamp: float, tag: str = "RAWLASER1", tail: str = "0") -> str:
+    return f"{tag} 0 -1.0 2.0 0.01 30 0.01 0 201 {' '.join(['2.5'] * 200)} 31 {tail} {stamp} host {stamp}"
+
+
+@pytest.mark.parametrize("tail", ["0", "2 7 7"])
+def test_raw_laser_lines_take_the_odometry_around_them(tmp_path: Path, tail: str) -> None:
+    lines = ["PARAM robot_frontlaser_offset 0.2", rawlaser(9.5, tail=tail)]
+    for i in range(5):
+        lines += [odom(0.5 * i, 0.0, 0.2 * i, str(10.0 + i)), rawlaser(10.5 + i, tail=tail)]
+    log, events = read(write(tmp_path / "a.log", *lines))
+    assert (log.scans, log.odometry, log.warnings) == (6, 5, []) and log.mount.is_close(Pose.planar(0.2, 0.0, 0.0))
+    scans = [event for event in events if isinstance(event, Scan)]
+    assert (len(scans[0].points), len(scans[0].no_return)) == (200, 1)
+    assert math.isclose(math.atan2(scans[0].points[0, 1], scans[0].points[0, 0]), -1.0)
+    assert scans[0].odometry is None, "before the first reading"
+    assert scans[2].odometry.is_close(Pose.planar(0.75, 0.0, 0.3)), "half way between two readings"
+    assert scans[5].odometry.is_close(Pose.planar(2.0, 0.0, 0.8)), "the last one known"
+    assert [event.line for event in events] == sorted(event.line for event in events)
+
+
+def test_raw_laser_lines_beside_others_are_the_same_scans(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.log", rawlaser(10.0), flaser(), rawlaser(11.0), flaser())
+    log, _ = read(path)
+    assert (log.scans, log.warnings) == (2, [])
+    log, _ = read(path, laser="RAWLASER1")
+    assert (log.scans, log.warnings) == (2, [])
+    log, _ = read(write(tmp_path / "b.log", rawlaser(10.0, "RAWLASER2")), laser="rear")
+    assert log.scans == 1 and "rear laser (RAWLASER2)" in log.warnings[0]
+
+
+@pytest.mark.parametrize("squeezed", [False, True])
+def test_a_byte_order_mark_costs_no_line(tmp_path: Path, squeezed: bool) -> None:
+    data = b"\xef\xbb\xbf" + "\n".join([flaser(), flaser()]).encode() + b"\n"
+    path = tmp_path / "a.log"
+    path.write_bytes(gzip.compress(data) if squeezed else data)
+    log, _ = read(path)
+    assert (log.scans, log.skipped) == (2, 0)
+    assert is_log(path)
+
+
+def test_gzip_that_swells_without_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.clf.gz"
+    path.write_bytes(gzip.compress(flaser().encode() + b"\n" * 100_000_000, 9))
+    with pytest.raises(TooLargeError, match=r"bomb\.clf\.gz: [0-9]+ bytes of gzip hold more than 67108864"):
+        list(open_log(path))
+
+
+def test_devices_and_pipes_are_no_logs(tmp_path: Path) -> None:
+    import os
+
+    os.mkfifo(tmp_path / "pipe.log")
+    (tmp_path / "zero.bag").symlink_to("/dev/zero")
+    for name in ("pipe.log", "zero.bag"):
+        with pytest.raises(LogError, match="not a file that can be read twice"):
+            open_log(tmp_path / name)
+        assert not is_log(tmp_path / name)
+
+
+def test_beams_that_no_fan_has_cost_their_line(tmp_path: Path) -> None:
+    log, events = read(write(tmp_path / "a.log", robotlaser(RANGES), robotlaser(RANGES, step=1e300)))
+    assert len(events) == 1 and "line 2: beams from -1 by 1e+300 rad" in log.warnings[0]
