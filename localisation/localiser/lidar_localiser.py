@@ -39,6 +39,8 @@ __all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_cs
 
 # Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
 _LEAST_CELLS = 3
+# In cells of the map, what is searched on at least: a plane's cells stand for its points, and there are enough of them.
+_COARSE = 5.0
 # Points that are searched with, and by how much floors may mislead about what is up, radians.
 _POINTS, _TILT = 300, math.radians(2.0)
 # Below this share of the points no place is looked for: of a scan in its own map nine in ten coincide, of one in
@@ -125,6 +127,7 @@ class LidarLocaliser:
         """Make the tables of the map for what the sensor sees."""
         fine = self._states.occupied.lattice
         coarse, _ = surface_lattice(fine, points)
+        coarse = fine.scaled(max(coarse.resolution / fine.resolution, _COARSE))
         centres = fine.centres(self._states.occupied.index)
         self._surfaces = SurfaceMap(coarse)
         self._surfaces.add(centres)
