@@ -39,6 +39,9 @@ __all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_cs
 
 # Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
 _LEAST_CELLS = 3
+# Blocks and poses that a search may take: a scan in its own map takes a tenth of it. What a small room's scan meets all
+# over a large hall is not searched to its end.
+_NODES = 1_000_000
 # In cells of the map, what is searched on at least: a plane's cells stand for its points, and there are enough of them.
 _COARSE = 5.0
 # Points that are searched with, and by how much floors may mislead about what is up, radians.
@@ -211,7 +214,7 @@ class LidarLocaliser:
         level = self._level(points, lattice)
         match = self._matcher.match(
             spread_points(level.apply(points), lattice, _POINTS), self._region(), apart=_APART, least=_LEAST_SHARE,
-            refine=False, beams=False, information=False, time_limit=self._time_limit,
+            refine=False, beams=False, information=False, time_limit=self._time_limit, node_limit=_NODES,
         )  # fmt: skip
         if match is None or not match.certified:
             return lost
