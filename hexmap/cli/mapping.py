@@ -198,8 +198,11 @@ def _report(what: str, s: ErrorStatistics, unit: str) -> None:
 
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write to.")] = Path("demo"),
-    lattice: Annotated[str, typer.Option(help="Z2 or A2.")] = "A2",
+    lattice: Annotated[
+        str | None, typer.Option(help="Z2 or A2; in space Z3, D3 or D3*.", show_default="A2, D3")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and drift.")] = 0,
+    space: Annotated[bool, typer.Option("--space", help="A LiDAR in a warehouse, on a lattice of space.")] = False,
 ) -> None:
     """Simulate an office and a drive through it, map it from the log alone, draw it and score it."""
     import numpy as np
@@ -215,11 +218,16 @@ def demo(
     from localisation.evaluation import absolute_error
     from localisation.settings import MappingSettings
 
-    settings = replace(MappingSettings(), lattice=lattice)
+    settings = replace(MappingSettings(), lattice=lattice or "A2") if not space else None
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileAccessError(f"{output}: cannot be made: {error.strerror}") from error
+    if settings is None:
+        from hexmap.cli.demo_in_space import demo_in_space
+
+        demo_in_space(output, lattice or "D3", seed)
+        return
     log, truth = output / "office.clf", output / "office.truth.tum"
     summary = write_log(log, make_building("office"), truth, seed=seed)
     say(f"simulated {summary.metres:.0f} m through an office in {summary.seconds:.0f} s: {summary.scans} scans")

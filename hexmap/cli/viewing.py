@@ -30,11 +30,15 @@ def info(
     """Say what a map or a log holds and where it came from."""
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.grids.open_grid import is_grid
+    from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.logs.open_log import is_log
 
     if not config and not is_parquet(source):
         if is_grid(source):
             _grid_info(source)
+            return
+        if is_lidar_log(source):
+            _lidar_info(source)
             return
         if is_log(source):
             _log_info(source)
@@ -121,6 +125,31 @@ def _log_info(path: Path) -> None:
     say(f"stamps {stamps[0]:.3f} to {stamps[1]:.3f} s, {metres:.1f} m by odometry")
     if log.mount is not None:
         say(f"the laser on the robot: {log.mount.x:g} m, {log.mount.y:g} m, {math.degrees(log.mount.theta):g} degrees")
+    for text in log.warnings:
+        warn(text)
+
+
+def _lidar_info(path: Path) -> None:
+    """Say what the log of a LiDAR holds; it is read to its end."""
+    import math
+
+    import numpy as np
+
+    from hexmap.io.lidar.open_lidar import open_lidar
+
+    log = open_lidar(path)
+    points, farthest, sweep = 0, 0.0, 0.0
+    stamps = [math.inf, -math.inf]
+    for scan in log:
+        stamps = [min(stamps[0], scan.stamp), max(stamps[1], scan.stamp)]
+        points += len(scan.points)
+        farthest = max(farthest, float((scan.points**2).sum(axis=1).max(initial=0.0)))
+        if scan.times is not None:
+            sweep = max(sweep, float(np.ptp(scan.times)))
+    say(f"{path}: the log of a LiDAR ({log.format}), {log.scans} scans")
+    timed = f"a time a point, sweeps of {sweep:.3f} s" if sweep else "no time a point"
+    say(f"{points / log.scans:.0f} points a scan up to {math.sqrt(farthest):.2f} m; {timed}")
+    say(f"stamps {stamps[0]:.3f} to {stamps[1]:.3f} s")
     for text in log.warnings:
         warn(text)
 

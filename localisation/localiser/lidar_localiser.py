@@ -175,6 +175,10 @@ class LidarLocaliser:
             return self._find(scan)
         return self._follow(scan)
 
+    def forget(self) -> None:
+        """Forget where the sensor was: the next scan is looked for in the whole map."""
+        self._odometry, self._bad = None, 0
+
     def _follow(self, scan: Scan) -> Estimate:
         """Track: draw the scan onto the map where the motion puts it."""
         assert self._odometry is not None
