@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
-from hexmap.base.errors import FileAccessError, FormatError, HexmapError
+from hexmap.base.errors import FileAccessError, FormatError, HexmapError, TooLargeError
 from hexmap.base.text import quoted, reason
 from hexmap.io.file_kinds import PARQUET
-from hexmap.io.read_file import cannot_read, check_regular
+from hexmap.io.read_file import cannot_read, check_regular, inflation_limit
 from hexmap.lattice.keys import pack, unpack
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
@@ -336,6 +336,13 @@ def _parquet(path: Path, handle: IO[bytes]) -> Any:
     # pyarrow reads as many rows as it is told, and has no checksum for where it is told so.
     if total != file.metadata.num_rows or not counts <= {True}:
         raise FormatError(f"{path}: damaged map: its numbers of rows do not agree")
+    # Equal rows take no room in the file, and eight bytes a number in memory; no two cells of a map are equal.
+    unpacked, most = 8 * total * file.metadata.num_columns, inflation_limit(size)
+    if unpacked > most:
+        raise TooLargeError(
+            f"{path}: {size} bytes say {total:,} rows, {unpacked} bytes in memory and more than {most}; "
+            "HEXMAP_MAX_INFLATION raises the limit"
+        )
     return file
 
 
