@@ -122,7 +122,8 @@ class LidarLog(ABC):
             self.scans += 1
             yield scan
         if self.scans == 0:
-            notes = self.warnings
+            # What happened to the scans says more than how the log was opened.
+            notes = self.warnings[len(self._notes) :] or self.warnings
             raise LogError(self._no_scan() + (f" ({notes[0].partition(': ')[2]})" if notes else ""))
         self.position = self.size
 
