@@ -187,7 +187,7 @@ class SurfaceMap:
         """Return the cells that hold points."""
         from hexmap.lattice.keys import unpack
 
-        self._centres(np.zeros(1, np.int64))
+        self._centres(np.zeros(0, np.int64))
         holds = self._arrays.sums[: self._used, 0] > 0.0
         return VoxelList.from_cells(unpack(self._keys[: self._used][holds], 3), self.lattice)
 
