@@ -89,7 +89,7 @@ def assert_holds(surfaces: SurfaceMap, case: Case, points: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize("case", SPATIAL, ids=str)
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 10**6))
 def test_sums_and_planes_are_those_of_the_points_of_each_cell(case: Case, seed: int) -> None:
     points = scattered(seed)
@@ -103,7 +103,7 @@ def test_sums_and_planes_are_those_of_the_points_of_each_cell(case: Case, seed: 
 
 
 @pytest.mark.parametrize("case", SPATIAL, ids=str)
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 10**6), cut=st.integers(0, 1500))
 def test_what_is_added_and_taken_away_leaves_the_rest(case: Case, seed: int, cut: int) -> None:
     points = scattered(seed)
@@ -253,8 +253,21 @@ def test_a_corridor_does_not_move_a_scan_along_itself(case: Case) -> None:
             assert drawn.converged and found.angle < 0.003
             np.testing.assert_allclose(found.translation[1:], 0.0, atol=0.003)
             slid.append(abs(float(found.translation[0]) - along))
-    # A cell of a skewed basis that a corner cuts may lean, and pull a little.
-    assert np.median(slid) < 0.001 and max(slid) < 0.1
+    assert max(slid) < 0.003
+
+
+@pytest.mark.parametrize("case", SPATIAL, ids=str)
+def test_a_few_walls_hold_a_scan_on_a_wide_floor(case: Case) -> None:
+    """A floor says much of tilt, metres away, which must not hide what little else there is to say of the place."""
+    rng = np.random.default_rng(8)
+    low, high = np.array([-40.0, -40.0, -1.0]), np.array([40.0, 40.0, -1.0])
+    walls = [np.array([-6.0, -3.0, -1.0]), np.array([8.0, 5.0, 2.0])]
+    surfaces = surfaces_at(
+        case, np.concatenate([sides(low, high, (4,), rng, 300_000), sides(*walls, (0, 3), rng, 4000)])
+    )
+    seen = np.concatenate([sides(low, high, (4,), rng, 9_000), sides(*walls, (0, 3), rng, 120)])
+    drawn = surfaces.draw(seen, Pose(exponential(np.array([0.0, 0.002, 0.005])), [0.1, -0.08, 0.02]))
+    assert drawn.converged and drawn.pose.is_close(Pose.identity(3), 0.03, 0.006)
 
 
 def test_a_floor_alone_holds_height_and_tilt_and_nothing_else() -> None:
