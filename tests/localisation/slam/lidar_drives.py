@@ -92,11 +92,11 @@ def block() -> Building3D:
     return solids.building("block", [(3.0, 0.0, 0.0), *corners[1:], *corners[:2], (16.0, 6.0, 0.0)])
 
 
-def plain() -> Building3D:
-    """A wide floor with a few walls far from each other: most of what a ring LiDAR sees moves with it."""
+def plain(every: float) -> Building3D:
+    """A wide floor with a wall across now and then: most of what a ring LiDAR sees moves along with it."""
     solids = SolidList()
-    solids.box((-40, -40, -0.3), (60, 40, 0))
-    for k in range(4):
-        solids.box((-6.0 + 12.0 * k, 6.0, 0.0), (-5.0 + 12.0 * k, 6.4, 2.0))
-        solids.box((-1.0 + 12.0 * k, -7.0, 0.0), (-0.6 + 12.0 * k, -6.0, 2.0))
+    solids.box((-40, -40, -0.3), (70, 40, 0))
+    for k in range(-2, 8):
+        for x, y in ((every * k, 4.0), (every * (k + 0.5), -8.0)):
+            solids.box((x, y, 0.0), (x + 0.4, y + 4.0, 3.0))
     return solids.building("plain", [(0.0, 0.0, 0.0), (30.0, 0.0, 0.0)])
