@@ -397,10 +397,10 @@ def simulated(seeds: Sequence[int], bare: bool = True) -> None:
     print()
 
 
-def bits(folder: Path, runs: int = 3) -> None:
+def bits(folder: Path, runs: int = 3, logs: Sequence[str] = ("vlp16", "hall")) -> None:
     """Say whether runs give the same map and trajectory, alone and with other processes that work at the same time."""
     busy = [sys.executable, "-c", "while True: sum(range(1000))"]
-    for name in ("vlp16", "hall"):
+    for name in logs:
         found: dict[int, set[str]] = {}
         for others in (0, 1, 2):
             found[others] = set()
