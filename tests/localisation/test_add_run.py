@@ -179,7 +179,9 @@ def test_a_checkpoint_of_something_else_is_refused(office: tuple[Path, Path, lis
             build_loop_closed_map(open_log(office[0]), checkpoints=kept)
 
 
-def test_a_checkpoint_from_elsewhere_cannot_run_anything(office: tuple[Path, Path, list[Pose]], tmp_path: Path) -> None:
+def test_a_checkpoint_from_elsewhere_cannot_run_anything(
+    office: tuple[Path, Path, list[Pose]], tmp_path: Path
+) -> None:
     import hashlib
 
     class Attack:

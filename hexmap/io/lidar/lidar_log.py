@@ -49,8 +49,7 @@ class LidarLogSettings:
 
 def returned(points: FloatArray) -> NDArray[np.bool_]:
     """Tell which points (N, 3) are something that a beam met: finite, and not at the sensor itself."""
-    good: NDArray[np.bool_] = np.isfinite(points).all(axis=1)
-    return good & (np.abs(points) > _NOTHING).any(axis=1)
+    return np.asarray(np.isfinite(points).all(axis=1) & (np.abs(points) > _NOTHING).any(axis=1))
 
 
 class LidarLog(ABC):
