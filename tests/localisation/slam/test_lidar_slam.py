@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -117,6 +118,33 @@ def test_a_garbage_scan_is_left_out_and_said() -> None:
     assert (result.scans, result.missed) == (21, 1) and len(result.poses) == 21
     assert 12 not in np.searchsorted([s.stamp for s in log], result.poses.stamps)
     assert rmse(log, result) < 0.15, "a scan or two until it is found again"
+
+
+def test_points_at_the_end_of_the_world_cost_themselves_alone() -> None:
+    """Drivers write them now and then: with a limit they are out of range, without one their scan is left out."""
+
+    def wild(k: int, scan: Scan) -> Scan:
+        points = scan.points.copy()
+        points[5] = [1e7, -1e7, 3.0]
+        return replace(scan, points=points) if k in (0, 6) else scan
+
+    log = SimulatedLidarLog(hall(), scans=12, change=wild)
+    for free_space in (False, True):
+        result = build_lidar_map(log, replace(COARSE, free_space=free_space, levels=1))
+        assert (result.scans, result.missed) == (12, 0) and rmse(log, result) < 0.03
+    result = build_lidar_map(log, replace(COARSE, max_range=None))
+    assert result.scans == 10 and rmse(log, result) < 0.04
+    assert any("2 scans" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(
+    "stamp", [lambda k, t: 1.0, lambda k, t: 10.0 - t, lambda k, t: t - (k == 5)], ids=["same", "backwards", "one back"]
+)
+def test_stamps_that_do_not_tell_cost_the_deskewing_alone(stamp: Callable[[int, float], float]) -> None:
+    log = SimulatedLidarLog(hall(), scans=12, change=lambda k, scan: replace(scan, stamp=stamp(k, scan.stamp)))
+    result = build_lidar_map(log, replace(COARSE, free_space=False))
+    true = Trajectory.from_poses([scan.stamp for scan in log], log.truth)
+    assert absolute_error(true, result.poses, "order").translation.rmse < 0.06
 
 
 # --- loops ----------------------------------------------------------------------------------------------------------
