@@ -44,6 +44,9 @@ _LEAST_SIGMA = 0.01
 _STEPS = 12
 # In resolutions and radians: a step shorter than this is the last.
 _TOLERANCE = 2e-4
+# Planes of a cell's few points lean by some hundredths: an axis that they hold less than this part of the best held one
+# is one along which nothing holds, as along a corridor.
+_HELD = 1e-3
 # Points on planes that are ground to move a scan.
 _ENOUGH = 30
 
@@ -187,7 +190,7 @@ class SurfaceMap:
         """Return the cells that hold points."""
         from hexmap.lattice.keys import unpack
 
-        self._centres(np.zeros(1, np.int64))
+        self._centres(np.zeros(0, np.int64))
         holds = self._arrays.sums[: self._used, 0] > 0.0
         return VoxelList.from_cells(unpack(self._keys[: self._used][holds], 3), self.lattice)
 
@@ -223,10 +226,7 @@ class SurfaceMap:
             sigma = math.sqrt(squares / total)
             if small:
                 break
-            # What no plane holds stays where it is.
-            values, axes = np.linalg.eigh(H)
-            held = values > 1e-4 * values[-1]
-            step = -(axes[:, held] / values[held]) @ (axes[:, held].T @ g)
+            step = -_held_inverse(H) @ g
             pose = Pose(exponential(step[3:]) @ pose.rotation, pose.translation + step[:3])
             least = max(_SIGMAS * max(sigma, _LEAST_SIGMA), 0.02)
             small = width <= least and float(np.abs(step).max()) < _TOLERANCE
@@ -243,6 +243,19 @@ class SurfaceMap:
         on = planes >= 0
         off = ((placed[on] - self._arrays.means[planes[on]]) * self._arrays.normals[planes[on]]).sum(axis=1)
         return int((np.abs(off) <= metres).sum())
+
+
+def _held_inverse(H: FloatArray) -> FloatArray:
+    """Return the inverse (6, 6) of normal equations; what no plane holds gets no step and stays where it is.
+
+    Rotations are counted in how far they move points, or a wide floor would hide what few walls say of translation.
+    """
+    lever = math.sqrt(float(np.trace(H[3:, 3:]) / np.trace(H[:3, :3])))
+    scale = np.repeat([1.0, 1.0 / max(lever, 1e-9)], 3)
+    values, axes = np.linalg.eigh(scale[:, None] * H * scale)
+    held = values > _HELD * values[-1]
+    axes = scale[:, None] * axes[:, held]
+    return np.asarray((axes / values[held]) @ axes.T)
 
 
 def first_of_each_cell(points: FloatArray, lattice: Lattice) -> FloatArray:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
-from hexmap.base.errors import MissingDependencyError
+from hexmap.base.errors import BoundsError, MissingDependencyError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -35,6 +35,8 @@ __all__ = ["LidarOdometry", "RegisteredSweep", "import_kiss_icp", "surface_latti
 # KISS-ICP's voxels are a metre for sensors that see a hundred: indoors as many of them fit into what the first scan
 # sees, down to what the thickness of furniture allows.
 _VOXELS_A_SCAN = 15.0
+# Its own range, metres, where there is no limit.
+_KISS_RANGE = 100.0
 _VOXEL = (0.25, 1.0)
 # A surface's cell in KISS-ICP's voxels: planes are found in it, and points within half of it find them.
 _SURFACE = 0.75
@@ -163,7 +165,9 @@ class LidarOdometry:
         config = KISSConfig()
         # Scans come deskewed and within their ranges. One thread, so that a log gives the same bits on any machine.
         config.data.deskew = False
-        config.data.min_range, config.data.max_range = 0.0, limit_of(self.settings.max_range)
+        limit = limit_of(self.settings.max_range)
+        # It counts turns by how far they move what is at its range, and ends the process where that is infinite.
+        config.data.min_range, config.data.max_range = 0.0, limit if math.isfinite(limit) else _KISS_RANGE
         config.mapping.voxel_size = self._voxel
         config.registration.max_num_threads = 1
         self._kiss = KissICP(config)
@@ -185,7 +189,10 @@ class LidarOdometry:
         for _ in range(2):
             odometry = cls(settings, velocity)
             for scan in scans[:2]:
-                sweep = odometry.register(scan)
+                try:
+                    sweep = odometry.register(scan)
+                except (BoundsError, TooLargeError):
+                    return None  # such a scan is counted where the log is mapped
                 assert odometry.surfaces is not None
                 odometry.surfaces.add(sweep.pose.apply(sweep.points))
             velocity = odometry._velocity

@@ -54,7 +54,7 @@ def deskewed(scan: Scan, velocity: Velocity | None) -> FloatArray:
     w = velocity.angular
     rate = float(np.linalg.norm(w))
     p = np.asarray(scan.points)
-    if rate * float(np.abs(scan.times).max()) > 1e-9:
+    if rate * float(np.abs(scan.times).max(initial=0.0)) > 1e-9:
         axis = w / rate
         s, c = np.sin(rate * tau), np.cos(rate * tau)
         along = (p @ axis)[:, None] * axis

@@ -5,6 +5,7 @@ from tests.benchmarks import (
     canonical,
     experiments,
     lattice_localisation,
+    lidar,
     localisation,
     localiser,
     mapping,
@@ -19,6 +20,7 @@ voxels.main()
 mapping.main()
 experiments.main()
 slam.main([])
+lidar.main([])
 for module in (
     planning, canonical, optimum, anyangle, replanning, localisation, localiser, lattice_localisation,
 ):  # fmt: skip

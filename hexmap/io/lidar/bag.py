@@ -8,7 +8,7 @@ from typing import Any
 
 from hexmap.base.errors import FileAccessError, LogError
 from hexmap.base.text import reason, shown
-from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings
+from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings, returned
 from hexmap.io.lidar.point_cloud2 import PointTimes, column, coordinates
 from hexmap.io.logs.bag_sources import BagSource
 from hexmap.io.logs.log import file_size
@@ -134,8 +134,8 @@ class LidarBag(LidarLog):
         points = coordinates(message)
         intensity = column(message, "intensity")
         return self._clean(
-            stamp, points, self.times.of(message, stamp), None if intensity is None else intensity.astype(float),
-            number, where,
+            stamp, points, self.times.of(message, stamp, returned(points)),
+            None if intensity is None else intensity.astype(float), number, where,
         )  # fmt: skip
 
     def _no_scan(self) -> str:

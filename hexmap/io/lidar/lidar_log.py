@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, LogError
@@ -16,7 +17,7 @@ from hexmap.io.logs.log import Tally
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 
-__all__ = ["LidarLog", "LidarLogSettings"]
+__all__ = ["LidarLog", "LidarLogSettings", "returned"]
 
 # No range of a LiDAR is shorter: drivers write 0, 0, 0 where nothing came back.
 _NOTHING = 1e-3
@@ -44,6 +45,11 @@ class LidarLogSettings:
         """
         if not 0.0 < self.rate < float("inf"):
             raise ArgumentError(f"a folder holds a positive number of scans a second, not {self.rate:g}")
+
+
+def returned(points: FloatArray) -> NDArray[np.bool_]:
+    """Tell which points (N, 3) are something that a beam met: finite, and not at the sensor itself."""
+    return np.asarray(np.isfinite(points).all(axis=1) & (np.abs(points) > _NOTHING).any(axis=1))
 
 
 class LidarLog(ABC):
@@ -115,7 +121,8 @@ class LidarLog(ABC):
             self.scans += 1
             yield scan
         if self.scans == 0:
-            notes = self.warnings
+            # What happened to the scans says more than how the log was opened.
+            notes = self.warnings[len(self._notes) :] or self.warnings
             raise LogError(self._no_scan() + (f" ({notes[0].partition(': ')[2]})" if notes else ""))
         self.position = self.size
 
@@ -135,8 +142,7 @@ class LidarLog(ABC):
         if not len(points):
             self._empty.add(where)
             return None
-        good = np.isfinite(points).all(axis=1)
-        good &= (np.abs(points) > _NOTHING).any(axis=1)
+        good = returned(points)
         dropped = len(points) - int(np.count_nonzero(good))
         if dropped:
             self._dropped.add(where, dropped)

@@ -75,8 +75,10 @@ class PointTimes:
         self.unit: float | None = None
         self.name: str | None = None
 
-    def of(self, message: Any, stamp: float) -> FloatArray | None:
+    def of(self, message: Any, stamp: float, used: NDArray[np.bool_] | None = None) -> FloatArray | None:
         """Return seconds (N,) from ``stamp``, or None where the message has no time a point.
+
+        ``used`` (N,) marks the points that count: of beams that did not return some drivers write any time.
 
         Raises:
             ValueError: the times are no sweep in seconds, milliseconds, microseconds or nanoseconds.
@@ -87,6 +89,10 @@ class PointTimes:
                 break
         else:
             return None
+        if used is not None and not used.all():
+            if not used.any():
+                return None
+            values = np.where(used, values, values[int(np.argmax(used))])
         # Subtracted before anything is rounded: nanoseconds since 1970 have no room in a float64.
         first = values[0]
         offsets = values.astype(np.float64) if values.dtype.kind == "f" else values.astype(np.int64)
