@@ -96,6 +96,8 @@ def build_lidar(
 
 
 def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
+    from hexmap.base.text import plural
+
     for text in result.warnings:
         warn(text)
     how = "given poses"
@@ -108,11 +110,11 @@ def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
         f"({result.scans / max(seconds, 1e-9):.1f} scans a second); {how}"
     )
     if result.skipped:
-        warn(f"{source.path}: {result.skipped} scans have no pose and were left out")
+        warn(f"{source.path}: {plural(result.skipped, 'scan')} without a pose left out")
     if result.missed:
-        warn(f"{source.path}: {result.missed} scans lie nowhere near the ones before them and were left out")
+        warn(f"{source.path}: {plural(result.missed, 'scan')} left out, nowhere near the ones before")
     if result.unmatched:
-        warn(f"{source.path}: {result.unmatched} scans lie on no surface and kept the motion predicted for them")
+        warn(f"{source.path}: {plural(result.unmatched, 'scan')} on no surface, where the motion predicted was kept")
     if result.levelled is not None and result.levelled > math.radians(0.1):
         say(f"turned by {math.degrees(result.levelled):.1f} degrees so that floors are level (--no-level leaves it)")
 
