@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, LatticeError
+from hexmap.base.values import Immutable
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.state_rule import StateRule, States
@@ -62,7 +63,7 @@ class MapDiff:
     kept: VoxelList
 
 
-class Map:
+class Map(Immutable):
     """A map: levels from fine to coarse, the frame, and where it came from; immutable.
 
     Attributes:
@@ -71,14 +72,18 @@ class Map:
         provenance: sorted JSON texts, one for each log that was fused (with command and settings).
     """
 
+    levels: tuple[Level, ...]
+    frame: str
+    provenance: tuple[str, ...]
+
     def __init__(self, levels: Iterable[Level], frame: str = "map", provenance: Iterable[str] = ()) -> None:
         """Make a map of its levels.
 
         Raises:
-            ArgumentError: there is no level.
+            ArgumentError: there is no level, or the frame or the provenance is no text.
             LatticeError: the levels are not the same lattice at doubling resolutions.
         """
-        self.levels = tuple(levels)
+        object.__setattr__(self, "levels", tuple(levels))
         if not self.levels:
             raise ArgumentError("a map needs at least one level")
         for k, level in enumerate(self.levels):
@@ -86,8 +91,11 @@ class Map:
                 raise LatticeError(f"hits and passes of level {k} are on different lattices")
             if not np.allclose(level.lattice.basis, self.levels[0].lattice.basis * 2.0**k, rtol=1e-9, atol=0.0):
                 raise LatticeError(f"level {k} is not the lattice of level 0 at {2**k} times its resolution")
-        self.frame = frame
-        self.provenance = tuple(sorted(set(provenance)))
+        texts = tuple(sorted(set(provenance)))
+        if not isinstance(frame, str) or not all(isinstance(text, str) for text in texts):
+            raise ArgumentError(f"a map's frame and its provenance are texts, not {frame!r} and {texts!r}")
+        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "provenance", texts)
 
     @property
     def lattice(self) -> Lattice:
