@@ -29,7 +29,7 @@ class Immutable:
 
 
 def remade(value: Any) -> tuple[Any, ...]:
-    """Return what a dataclass returns as ``__reduce__``: pickle makes arrays that are writable, a constructor does not."""
+    """Return what a dataclass returns as ``__reduce__``: its constructor freezes the arrays that pickle does not."""
     return type(value), tuple(getattr(value, each.name) for each in fields(value))
 
 

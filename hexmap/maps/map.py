@@ -19,6 +19,7 @@ from hexmap.base.errors import ArgumentError, LatticeError
 from hexmap.base.values import Immutable
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
+from hexmap.maps.origin import frames_of, logs_in_words, sources_in_frame
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -134,15 +135,23 @@ class Map(Immutable):
             VoxelList(at.lattice, keys[occupied], hits[occupied]), VoxelList(at.lattice, keys[free], passes[free])
         )
 
-    def merge(self, other: Map) -> Map:
+    def merge(self, other: Map, *, same_frame: bool = False) -> Map:
         """Return the map of both logs: counts added cell by cell; associative and commutative.
+
+        Frames of different names are different, and so are those whose sources say that they come from
+        different logs (see :mod:`hexmap.maps.origin`).
+
+        Args:
+            other: the other map.
+            same_frame: take the frames for one whatever they say; the result has this one's name.
 
         Raises:
             LatticeError: the lattices or the numbers of levels differ.
             ArgumentError: the frames differ.
+            BoundsError: a count would be more than 2^63 - 1.
         """
-        if self.frame != other.frame:
-            raise ArgumentError(f"the maps are in different frames: {self.frame!r} and {other.frame!r}")
+        if not same_frame:
+            self._check_frame(other)
         if len(self.levels) != len(other.levels):
             raise LatticeError(f"the maps have {len(self.levels)} and {len(other.levels)} levels")
         levels = [
@@ -150,6 +159,15 @@ class Map(Immutable):
             for a, b in zip(self.levels, other.levels, strict=True)
         ]
         return Map(levels, self.frame, (*self.provenance, *other.provenance))
+
+    def _check_frame(self, other: Map) -> None:
+        if self.frame != other.frame:
+            raise ArgumentError(f"the maps are in different frames: {self.frame!r} and {other.frame!r}")
+        mine, theirs = frames_of(self), frames_of(other)
+        if mine and theirs and not mine.keys() & theirs.keys():
+            logs = [logs_in_words(frames.values()) for frames in (mine, theirs)]
+            how = "of " + " and of ".join(logs) if logs[0] != logs[1] else f"both of {logs[0]}, posed in two ways"
+            raise ArgumentError(f"the maps are in different frames, {how}")
 
     def crop(self, low: ArrayLike, high: ArrayLike) -> Map:
         """Return the cells whose centre lies in the box from ``low`` to ``high`` (n,), metres, both included."""
@@ -168,14 +186,23 @@ class Map(Immutable):
         """Return the map carried by ``pose``: each cell's counts move to the cell nearest to its moved centre.
 
         All counts are kept; positions move by up to the covering radius, as the points behind the
-        cells are no longer known. Fuse the log again where that matters.
+        cells are no longer known. Fuse the log again where that matters. The sources no longer say which
+        frame they are in, unless ``pose`` moves nothing.
+
+        Raises:
+            ArgumentError: the pose is of another dimension.
+            BoundsError: a cell would leave the range of indices.
         """
+        if pose.dim != self.lattice.dim:
+            raise ArgumentError(f"a map of dimension {self.lattice.dim} is not carried by a pose of {pose.dim}")
 
         def move(cells: VoxelList) -> VoxelList:
             moved = cells.lattice.quantise(pose.apply(cells.centres()))
             return VoxelList.from_cells(moved, cells.lattice, cells.counts)
 
-        return Map([Level(move(v.hits), move(v.passes)) for v in self.levels], frame or self.frame, self.provenance)
+        levels = [Level(move(v.hits), move(v.passes)) for v in self.levels]
+        still = pose == Pose.identity(pose.dim)
+        return Map(levels, frame or self.frame, self.provenance if still else sources_in_frame(self.sources(), ()))
 
     def diff(self, other: Map, rule: StateRule | None = None) -> MapDiff:
         """Return what changed from this map to ``other`` on the finest level.
