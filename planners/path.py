@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError, HexmapError
+from hexmap.base.text import quoted
 from hexmap.base.values import integers
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
 
     Args:
         graph: where they are to lie.
-        cells: integer indices.
+        cells: integer indices, as an array or a list: a tuple could be a point in metres.
         role: "start" or "goal", for the error.
         blocked: a blocked cell is an error.
 
@@ -178,6 +179,11 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
     """
     array = integers(cells)
     n = graph.lattice.dim
+    if isinstance(cells, tuple):
+        # (12, -8) is how a point in metres is written, and its numbers are often whole.
+        raise ArgumentError(
+            f"a {role} is a cell's index as an array or a list, not {quoted(cells)}: to_cell makes one of a point in metres"
+        )
     if array is None:
         raise ArgumentError(f"a {role} is given as a cell's integer index; to_cell makes one of a point in metres")
     array = array[None] if array.ndim == 1 else array

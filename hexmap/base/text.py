@@ -35,7 +35,7 @@ def quoted(value: object, length: int = 40) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return lines of text for a terminal or a file: what a name may hold that is not printable is escaped.
+    r"""Return lines of text for a terminal or a file: what is not printable, as names may hold it, is escaped.
 
     Names of files may hold any byte: an escape sequence would be obeyed, and a byte that is not UTF-8 cannot be printed.
 

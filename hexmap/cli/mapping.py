@@ -129,7 +129,7 @@ def merge(
     transform: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            help="Where the frame of the second map (of the only one, its own) lies in that of the first: m, m, degrees.",
+            help="Where the second map lies in the frame of the first, or where the only one is moved to.",
             metavar="X Y DEGREES",
         ),
     ] = None,
@@ -152,7 +152,7 @@ def merge(
     found: list[str] = []
     for path in maps[1:]:
         other = load_map(path)
-        twice = common_logs(merged, other)
+        twice = common_logs(merged.sources(), other.sources())
         if twice and not again:
             raise ArgumentError(
                 f"{path}: {logs_in_words(twice)} is in the other maps, too, and would count twice; --again does that"
@@ -171,9 +171,8 @@ def merge(
         except AlignmentError as error:
             raise AlignmentError(f"{path}: not found in {maps[0]}: {error}") from error
         except (LatticeError, ArgumentError, BoundsError) as error:
-            ways = (
-                "; --align, --transform X Y DEGREES or --same-frame says how they lie" if "frames" in str(error) else ""
-            )
+            ways = "; --align, --transform X Y DEGREES or --same-frame says how they lie"
+            ways = ways if "different frames" in str(error) else ""
             raise type(error)(f"{path}: cannot be merged with {maps[0]}: {error}{ways}") from error
     save_map(output, merged)
     wrote(output, f"{len(maps)} maps merged, {len(merged.levels[0].hits)} cells hit{''.join(found)}")

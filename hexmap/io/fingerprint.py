@@ -24,7 +24,7 @@ def fingerprint(path: Path) -> str | None:
             with open(file, "rb") as handle:
                 packed = GZIP.begins(handle.read(4))
                 handle.seek(0)
-                pieces = iter(lambda: handle.read(16 * CHUNK), b"")  # noqa: B023 used up before the next one
+                pieces = iter(lambda: handle.read(16 * CHUNK), b"")
                 for piece in inflated(pieces) if packed else pieces:
                     digest.update(piece)
     except GzipError:

@@ -163,7 +163,7 @@ class Map(Immutable):
     def _check_frame(self, other: Map) -> None:
         if self.frame != other.frame:
             raise ArgumentError(f"the maps are in different frames: {self.frame!r} and {other.frame!r}")
-        mine, theirs = frames_of(self), frames_of(other)
+        mine, theirs = frames_of(self.sources()), frames_of(other.sources())
         if mine and theirs and not mine.keys() & theirs.keys():
             logs = [logs_in_words(frames.values()) for frames in (mine, theirs)]
             how = "of " + " and of ".join(logs) if logs[0] != logs[1] else f"both of {logs[0]}, posed in two ways"

@@ -9,25 +9,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 from hexmap.base.text import shown
 
-if TYPE_CHECKING:
-    from hexmap.maps.map import Map
-
 __all__ = ["common_logs", "frames_of", "logs_in_words", "sources_in_frame"]
 
-
-def frames_of(map: Map) -> dict[str, str]:
-    """Return the identities of a map's frame and the log that each comes from; several where frames were declared one."""
-    return {s["frame"]: str(s.get("log", "unknown")) for s in map.sources() if isinstance(s.get("frame"), str)}
+Sources: TypeAlias = Iterable[dict[str, Any]]
 
 
-def common_logs(a: Map, b: Map) -> list[str]:
-    """Return the names of the logs that are in both of two maps."""
-    first = {s["log_id"] for s in a.sources() if isinstance(s.get("log_id"), str)}
-    found = (s for s in b.sources() if isinstance(s.get("log_id"), str) and s["log_id"] in first)
+def frames_of(sources: Sources) -> dict[str, str]:
+    """Return the identities of a map's frame and the log of each; several where frames were declared one."""
+    return {s["frame"]: str(s.get("log", "unknown")) for s in sources if isinstance(s.get("frame"), str)}
+
+
+def common_logs(a: Sources, b: Sources) -> list[str]:
+    """Return the names of the logs that are in both of two maps, by the sources of each."""
+    first = {s["log_id"] for s in a if isinstance(s.get("log_id"), str)}
+    found = (s for s in b if isinstance(s.get("log_id"), str) and s["log_id"] in first)
     return sorted({str(s.get("log", "unknown")) for s in found})
 
 
@@ -36,7 +35,7 @@ def logs_in_words(names: Iterable[str]) -> str:
     return ", ".join(sorted({shown(name, 60) for name in names}))
 
 
-def sources_in_frame(sources: Iterable[dict[str, Any]], frames: Iterable[str], moved: Any = None) -> list[str]:
+def sources_in_frame(sources: Sources, frames: Iterable[str], moved: Any = None) -> list[str]:
     """Return the texts of sources whose maps were carried into another frame.
 
     Args:

@@ -89,7 +89,7 @@ def add_run(
     found = align_maps(map, alone.map, align, rules=(settings.rule, settings.rule))
     held = _hold(map, run, settings, planar.of_pose(found.pose))
     result = fuse_run(held, settings, on_pose=on_pose, phase=phase)
-    moved = Map(result.map.levels, map.frame, sources_in_frame(result.map.sources(), frames_of(map)))
+    moved = Map(result.map.levels, map.frame, sources_in_frame(result.map.sources(), frames_of(map.sources())))
     return replace(result, map=map.merge(moved, same_frame=True)), found
 
 

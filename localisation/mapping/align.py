@@ -203,7 +203,7 @@ def moved_into(a: Map, b: Map, T_a_b: Pose) -> Map:
         return {"translation": pose.translation.tolist(), "quaternion": pose.quaternion().tolist()}
 
     moved = b.transform(T_a_b, a.frame)
-    return Map(moved.levels, moved.frame, sources_in_frame(moved.sources(), frames_of(a), how))
+    return Map(moved.levels, moved.frame, sources_in_frame(moved.sources(), frames_of(a.sources()), how))
 
 
 def pose_words(pose: Pose) -> str:

@@ -348,7 +348,7 @@ def _goals(graph: LatticeGraph, goal: ArrayLike) -> NDArray[np.int64]:
     """Return the flat goals; of a set those that are free and in the map."""
     cells = np.asarray(goal)
     if cells.ndim != 2 or len(cells) < 2:
-        return cells_to_flat(graph, cells, "goal")
+        return cells_to_flat(graph, goal, "goal")
     kept = []
     first: NoPath | None = None
     for cell in cells:

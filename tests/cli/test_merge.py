@@ -55,7 +55,7 @@ def test_maps_of_different_logs_are_in_different_frames(folder: Path, capsys: py
     a, b, merged = load_map(one), load_map(two), load_map(out)
     assert merged == a.merge(b, same_frame=True) == b.merge(a, same_frame=True)
     # Once declared the same, a map in either frame goes with it.
-    assert frames_of(merged).keys() == frames_of(a).keys() | frames_of(b).keys()
+    assert frames_of(merged.sources()).keys() == frames_of(a.sources()).keys() | frames_of(b.sources()).keys()
     assert call("merge", out, two, "--again", "-o", folder / "more.parquet") == 0
 
 
@@ -65,13 +65,13 @@ def test_a_transform_says_where_a_map_lies(folder: Path, capsys: pytest.CaptureF
     a, b, merged = load_map(one), load_map(two), load_map(out)
     moved = b.transform(Pose.planar(1.0, -2.0, math.radians(90)))
     assert merged.levels == a.merge(moved, same_frame=True).levels
-    assert frames_of(merged).keys() == frames_of(a).keys()
+    assert frames_of(merged.sources()).keys() == frames_of(a.sources()).keys()
     source = next(s for s in merged.sources() if s["log"] == "two.clf")
     assert np.allclose(source["moved"]["translation"], [1.0, -2.0])
     # One map is moved by itself, and is in no frame that is known.
     assert call("merge", two, "--transform", 1.0, -2.0, 90, "-o", out) == 0
     assert load_map(out) == moved
-    assert frames_of(moved) == {}
+    assert frames_of(moved.sources()) == {}
     capsys.readouterr()
     for arguments in (
         (one, two, one, "--transform", 1, 2, 3), (one, two, "--transform", 1, 2, "nan"),
@@ -86,7 +86,7 @@ def test_the_same_log_counts_once(folder: Path, capsys: pytest.CaptureFixture[st
     for other in (one, copy):
         text = failure(capsys, 1, "merge", one, other, "-o", out)
         assert "would count twice; --again does that" in text
-    assert common_logs(load_map(one), load_map(copy)) == ["copy.clf"]
+    assert common_logs(load_map(one).sources(), load_map(copy).sources()) == ["copy.clf"]
     assert call("merge", one, copy, "--again", "-o", out) == 0
     assert load_map(out).levels[0].hits.total == 2 * load_map(one).levels[0].hits.total
     # Posed in another way, the same log is in another frame.

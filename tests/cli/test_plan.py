@@ -87,7 +87,8 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
     table = read_path(csv)
     lattice = Lattice.named("A2", 0.1)
     assert np.array_equal(lattice.quantise(np.array([[-1.5, -0.5], [1.5, -0.5]])), table.cells[[0, -1]])
-    assert np.array_equal(lattice.centres(table.cells), table.points)
+    assert table.points[[0, -1]].tolist() == [[-1.5, -0.5], [1.5, -0.5]]
+    assert np.array_equal(lattice.centres(table.cells)[1:-1], table.points[1:-1])
     assert table.length[0] == 0.0 and f"length {table.length[-1]:.3f} m" in out[1]
     assert table.points[:, 1].max() > 0.4  # through the door
     assert png.stat().st_size > 10_000
@@ -99,7 +100,8 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
         assert csv.read_bytes() == first
     for more in (["--planner", "dijkstra"], ["--planner", "canonical"], ["--bidirectional"], ["--weight", 1.0]):
         assert call(*arguments, "-o", csv, *more) == 0
-        assert read_path(csv).length[-1] == pytest.approx(length, rel=1e-9)
+        # Of equally long ways between the cells each planner takes its own, and the end pieces differ.
+        assert read_path(csv).length[-1] == pytest.approx(length, abs=0.1)
     for more in (["--planner", "any-angle"], ["--shortcut"], ["--neighbourhood", "extended"], ["--neighbourhood", 12]):
         assert call(*arguments, "-o", csv, *more) == 0
         assert read_path(csv).length[-1] < length

@@ -103,7 +103,7 @@ def plan(
 ) -> None:
     """Look for the cheapest path between two positions in a map.
 
-    The path leads from cell centre to cell centre, from the cell of --from to that of --to.
+    The path begins in --from and ends in --to; between them it leads from cell centre to cell centre.
     """
     from hexmap.base.errors import ArgumentError
     from hexmap.io.file_kinds import is_parquet
@@ -140,10 +140,13 @@ def plan(
     seconds = time.perf_counter() - begin
     compiling_note(*kernels_of(graph, query))
     path = find_path(planning_map, graph, query)
+    from planners.between_points import between_points
+
     if shortcut:
         from planners import shortcut as straighten
 
         path = straighten(graph, path)
+    path = between_points(graph, path, query.start, query.goal)
     inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
     say(
         f"{map}: {graph.lattice.title} lattice at {graph.lattice.resolution:g} m{planning_map.source}, "
@@ -201,6 +204,8 @@ def _draw(
 
 def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
     """Say what was found and what that took."""
+    import numpy as np
+
     from hexmap.graph.queries import least_clearance, share_of_line
     from hexmap.maps.cell_state import CellState
 
@@ -212,11 +217,12 @@ def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
         else f"least clearance {clearance:.2f} m from occupied cells"
     )
     straight = query.shortcut or query.planner is Planner.any_angle
+    met = 1 + int(np.diff(path.cells, axis=0).any(axis=1).sum())
     cost = f"{path.cost:.3f}" if path.cost < 1e6 else f"{path.cost:g}"
     say(
         f"{query.planner.value} from {in_metres(query.start)} to {in_metres(query.goal)}: "
         f"length {path.length:.3f} m, cost {cost}, turning {math.degrees(path.turning):.0f} deg, {room}, "
-        f"{counted(len(path), 'point' if straight else 'cell')}"
+        f"{counted(len(path), 'point') if straight else counted(met, 'cell')}"
     )
     if not path.goal_reached:
         say(
