@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.build import Associate, Readings, build_and_report
-from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, wrote
+from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, warn, wrote
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -237,12 +237,14 @@ def evaluate(
     step: Annotated[float, typer.Option(help="Distance of the pairs for the relative error, m.")] = 1.0,
 ) -> None:
     """Score a trajectory: relations, or absolute error after rigid alignment and relative error."""
-    from hexmap.base.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError, TrajectoryError
     from hexmap.io.trajectories import read_relations, read_tum
     from localisation.evaluation import absolute_error, evaluate_relations, relative_error
 
     if relations is None and reference is None:
         raise ArgumentError("evaluate takes --relations or --reference, or both")
+    if not (math.isfinite(step) and step > 0.0):
+        raise typer.BadParameter(f"--step is a positive number of metres, not {step:g}")
     poses = read_tum(trajectory)
     if relations is not None:
         score = evaluate_relations(poses, read_relations(relations), tolerance)
@@ -255,7 +257,11 @@ def evaluate(
         say(f"absolute error after rigid alignment: {ate.used} poses used, {ate.skipped} left out")
         _report("translation", ate.translation, "m")
         _report("rotation", ate.rotation_deg, "deg")
-        rpe = relative_error(truth, poses, step, "metres", associate.value, tolerance)
+        try:
+            rpe = relative_error(truth, poses, step, "metres", associate.value, tolerance)
+        except TrajectoryError as error:  # what was asked for and is known has been said
+            warn(f"no relative error: {error}")
+            return
         say(f"relative error over {step:g} m: {rpe.used} pairs")
         _report("translation", rpe.translation, "m")
         _report("rotation", rpe.rotation_deg, "deg")

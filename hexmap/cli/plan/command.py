@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
-from hexmap.cli.plan.map_source import PlanningMap, foreign_map, inputs_of, own_map
+from hexmap.cli.plan.map_source import PlanningMap, foreign_map, found, inputs_of, own_map
 from hexmap.cli.plan.query import (
     Planner,
     Query,
@@ -87,13 +87,13 @@ def plan(
         ),
     ] = None,
     lattice: Annotated[
-        str | None, typer.Option(help=f"Lattice of foreign maps: {', '.join(_LATTICES)}.", show_default="A2 or D3")
+        str | None, typer.Option(help=f"Lattice: {', '.join(_LATTICES)}.", show_default="A2 or D3; of hexmap's maps their own")
     ] = None,
     resolution: Annotated[
         float | None,
         typer.Option(
             help="Resolution of that lattice, m. At the size of the source's own cells paths leak through thin walls.",
-            show_default="half the source's cell in the plane, the source's cell in space",
+            show_default="half the source's cell in the plane, the source's cell in space; of hexmap's maps their own",
         ),
     ] = None,
     cell: Annotated[float | None, typer.Option(help="Size of a game map's cells, m.", show_default="1")] = None,
@@ -108,6 +108,7 @@ def plan(
     from hexmap.base.errors import ArgumentError
     from hexmap.io.file_kinds import is_parquet
 
+    map = found(map)
     query = Query(
         start, goal, planner, weight, bidirectional, shortcut, nearest,
         radius, clearance_weight, clearance_reach, unknown, neighbourhood,
@@ -127,13 +128,15 @@ def plan(
     _check_kind(
         map,
         own,
-        {"--lattice": lattice, "--resolution": resolution, "--cell": cell},
+        {"--cell": cell},
         {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio},
     )
     first_run_note()
     begin = time.perf_counter()
     if own:
-        planning_map = own_map(map, query, level or 0, lambda sources: rule_of(min_hits, min_ratio, sources))
+        planning_map = own_map(
+            map, query, level or 0, lambda sources: rule_of(min_hits, min_ratio, sources), lattice, resolution
+        )
     else:
         planning_map = foreign_map(map, query, lattice, resolution, cell)
     graph = _with_clearance(planning_map.graph, query)
