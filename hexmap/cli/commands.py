@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import sys
 from typing import Annotated, Any
 
@@ -127,11 +128,15 @@ def _command_path(arguments: list[str]) -> str:
     return " ".join(path)
 
 
+def _one_line(text: str) -> str:
+    return re.sub("[ \n]+", " ", printable(text)).strip()
+
+
 def _misused(text: str, command: str) -> int:
-    sys.stderr.write(f"hexmap: {printable(' '.join(text.split()))} (see: {command} --help)\n")
+    sys.stderr.write(f"hexmap: {_one_line(text)} (see: {command} --help)\n")
     return 2
 
 
 def _fail(text: str) -> int:
-    sys.stderr.write(f"hexmap: {printable(' '.join(text.split()))}\n")
+    sys.stderr.write(f"hexmap: {_one_line(text)}\n")
     return 1
