@@ -19,7 +19,7 @@ from hexmap.base.text import printable
 _FINEST, _COARSEST = 0.001, 10.0
 _PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg")
 
-__all__ = ["check_map_output", "check_outputs", "compiling_note", "first_run_note", "progress_line", "say", "warn", "warn_of_size", "wrote"]
+__all__ = ["check_applies", "check_map_output", "check_outputs", "compiling_note", "first_run_note", "progress_line", "say", "warn", "warn_of_size", "wrote"]
 
 
 def say(text: str) -> None:
@@ -35,6 +35,17 @@ def warn(text: str) -> None:
 def wrote(path: Path | str, what: str) -> None:
     """Say what was written, and where."""
     typer.echo(printable(f"wrote {path}  ({what})".replace("\n", "\\n")))
+
+
+def check_applies(path: Path | None, what: str, options: dict[str, bool]) -> None:
+    """Refuse options that say nothing of what is given: option -> whether it was set.
+
+    Raises:
+        BadParameter: naming those that were set.
+    """
+    given = [name for name, is_set in options.items() if is_set]
+    if given:
+        raise typer.BadParameter(f"{path}: {what}; leave out {' and '.join(given)}")
 
 
 def check_map_output(path: Path) -> None:

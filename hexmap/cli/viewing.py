@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import check_outputs, say, warn, wrote
+from hexmap.cli.console import check_applies, check_outputs, say, warn, wrote
 
 if TYPE_CHECKING:
     from hexmap.maps.state_rule import StateRule
     from hexmap.maps.voxel_list import VoxelList
 
+_VIEW = -120.0, 35.0  # degrees, of the eye
 MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
 LevelOption = Annotated[int, typer.Option(help="Level of the map, 0 is the finest.")]
 MinHits = Annotated[int | None, typer.Option(help="Hits that make a cell occupied.", show_default="as mapped")]
@@ -160,7 +161,7 @@ def show(
     lattice: Annotated[str | None, typer.Option(help="Lattice of points: Z3, D3, D3*.", show_default="D3")] = None,
     volume: clouds.Volume = None,
     resolution: clouds.Resolution = None,
-    view: Annotated[tuple[float, float], typer.Option(help="Azimuth and elevation of the eye, degrees.")] = (-120, 35),
+    view: Annotated[tuple[float, float], typer.Option(help="Azimuth and elevation of the eye, degrees.")] = _VIEW,
     cut_above: Annotated[float | None, typer.Option(help="Take off cells above this height, m.")] = None,
     viewer: Annotated[bool, typer.Option(help="Open a window (needs the open3d extra).")] = False,
     format: clouds.Format = None,
@@ -180,12 +181,25 @@ def show(
     if output is None and not viewer:
         raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
     check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
+    if is_parquet(source):
+        of_points = {
+            "--format": format is not None, "--units": units != "m", "--axes": axes != "xyz",
+            "--min-range": min_range != 0.0, "--max-range": max_range is not None, "--crop": crop is not None,
+            "--unique": unique, "--sample": sample is not None, "--seed": seed != 0,
+        }  # fmt: skip
+        check_applies(source, "these say how points are read, and this is a map", of_points)
     about_points = lattice is not None or volume is not None or resolution is not None
     if not about_points and is_parquet(source) and not viewer:
         assert output is not None
-        _show_map(source, output, level, trajectory, min_hits, min_ratio)
+        _show_map(source, output, level, trajectory, min_hits, min_ratio, view, cut_above)
         return
     size = clouds.cell_size(resolution, volume, None, 3)
+    if not is_parquet(source):
+        of_maps = {
+            "--level": level != 0, "--trajectory": trajectory is not None, "--min-hits": min_hits is not None,
+            "--min-ratio": min_ratio is not None,
+        }  # fmt: skip
+        check_applies(source, "points have no levels, hits or poses", of_maps)
     if is_parquet(source):
         if about_points:
             raise ArgumentError(f"{source}: a map has its lattice; --lattice, --volume and --resolution are for points")
@@ -204,7 +218,14 @@ def show(
 
 
 def _show_map(
-    map: Path, output: Path, level: int, trajectory: Path | None, min_hits: int | None, min_ratio: float | None
+    map: Path,
+    output: Path,
+    level: int,
+    trajectory: Path | None,
+    min_hits: int | None,
+    min_ratio: float | None,
+    view: tuple[float, float],
+    cut_above: float | None,
 ) -> None:
     from hexmap.drawing.map_drawing import check_picture, draw_map
     from hexmap.io.map_file import load_map
@@ -212,6 +233,8 @@ def _show_map(
 
     check_picture(output)
     loaded = load_map(map)
+    if loaded.lattice.dim == 2:
+        check_applies(map, "the map is flat", {"--view": view != _VIEW, "--cut-above": cut_above is not None})
     poses = read_tum(trajectory) if trajectory is not None else None
     draw_map(loaded, output, level=level, trajectory=poses, rule=rule_of(min_hits, min_ratio, loaded.sources()))
     wrote(output, f"level {level}, {loaded.level(level).lattice.resolution:g} m")

@@ -147,6 +147,32 @@ def test_a_map_of_ones_own_is_planned_in_on_another_lattice(
     assert not occupied.contains(occupied.lattice.quantise(read_path(csv).points)).any()
 
 
+@pytest.mark.parametrize(
+    "option", [("--trajectory", "a.tum"), ("--level", "1"), ("--min-hits", "2"), ("--min-ratio", "0.5")], ids=" ".join
+)
+def test_options_of_maps_do_not_apply_to_points(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, option: tuple[str, str]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert f"leave out {option[0]}" in refused(
+        capsys, 2, "show", "cube.xyz", "-o", "o.png", "--volume", "0.1", *option
+    )
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--units", "mm"), ("--sample", "9"), ("--seed", "1"), ("--unique",), ("--crop", "0,0,1,1"), ("--max-range", "3"),
+     ("--view", "0", "90"), ("--cut-above", "1")],
+    ids=" ".join,
+)  # fmt: skip
+def test_options_of_points_or_of_space_do_not_apply_to_a_flat_map(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, option: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(folder)
+    assert f"leave out {option[0]}" in refused(capsys, 2, "show", "a.parquet", "-o", "o.png", *option)
+    assert not (folder / "o.png").exists()
+
+
 # ---------------------------------------------------------------------- odd names and values
 
 
@@ -204,7 +230,8 @@ def test_no_folder_is_said_of_one_that_is_there(folder: Path, capsys: pytest.Cap
 
 def test_text_that_a_spreadsheet_would_run_is_quoted(tmp_path: Path) -> None:
     report = Report("r")
-    rows = [{"=1+1": text, "n": -1.5} for text in ("=cmd|' /C calc'!A0", "+1", "-x", "@a", "D3*", "a=b")]
+    formulas = ("=cmd|' /C calc'!A0", "+HYPERLINK(1)", "-cmd|' /C calc'!A0", "@SUM(1)")
+    rows = [{"=1+1": text, "n": -1.5} for text in (*formulas, "D3*", "a=b")]
     report.table("t", rows)
     report.write(tmp_path)
     lines = (tmp_path / "t.csv").read_text().splitlines()

@@ -30,9 +30,13 @@ def _csv_cell(cell: Any) -> str:
 
 
 def _text(value: Any) -> str:
-    """Return text of a cell: what a spreadsheet would take for a formula, such as a file's name may be, gets a quote."""
+    """Return text of a cell: what a spreadsheet would run as a formula, such as a file's name may be, gets a quote.
+
+    After a sign only a call or a link does anything: "- no list" stays as it is.
+    """
     text = clean(value)
-    return "'" + text if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+    runs = text.startswith(("=", "@", "\t", "\r")) or (text.startswith(("+", "-")) and any(c in text for c in "(|!"))
+    return "'" + text if runs else text
 
 
 def csv_table(table: Table) -> bytes:
