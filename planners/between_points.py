@@ -56,7 +56,7 @@ def path_between(
 
 
 def between_points(graph: LatticeGraph, path: Path, start: ArrayLike, goal: ArrayLike) -> Path:
-    """Return a path with its ends in the points ``start`` and ``goal`` (n,), metres, that lie in its first and last cell.
+    """Return a path that begins and ends in points (n,), metres, of its first and of its last cell.
 
     From a point the path goes straight to the second centre, where no blocked cell is met on that line or touches it;
     else to the centre of its own cell first. With terrain it always does, and the end pieces cost what their cells do.

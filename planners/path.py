@@ -182,7 +182,8 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
     if isinstance(cells, tuple):
         # (12, -8) is how a point in metres is written, and its numbers are often whole.
         raise ArgumentError(
-            f"a {role} is a cell's index as an array or a list, not {quoted(cells)}: to_cell makes one of a point in metres"
+            f"a {role} is a cell's index as an array or a list, not {quoted(cells)}: "
+            "to_cell makes one of a point in metres"
         )
     if array is None:
         raise ArgumentError(f"a {role} is given as a cell's integer index; to_cell makes one of a point in metres")

@@ -43,7 +43,7 @@ def _users() -> Path:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Tell whether files can be made in a folder, which is made where it is missing, by making one: rights alone lie."""
+    """Tell whether files can be made in a folder, which is made if it is missing, by making one: rights may lie."""
     probe = folder / f".{os.getpid()}-{os.urandom(4).hex()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -37,7 +37,7 @@ def quoted(value: object, length: int = 40) -> str:
 def printable(text: str) -> str:
     r"""Return lines of text for a terminal or a file: what is not printable, as names may hold it, is escaped.
 
-    Names of files may hold any byte: an escape sequence would be obeyed, and a byte that is not UTF-8 cannot be printed.
+    Names of files may hold any byte: an escape sequence would be obeyed, and what is not UTF-8 cannot be printed.
 
     Examples:
         >>> from hexmap.base.text import printable

@@ -19,6 +19,8 @@ from hexmap.cli.plan.query import PlanCommand
 __all__ = ["app", "run"]
 
 STOPPED = 130
+# What the parser says of words that are no numbers.
+_JARGON = {"valid integer": "a whole number", "valid number": "a number", "valid boolean": "true or false"}
 _OUTPUTS = ("-o", "--output", "--picture", "--loops-picture")
 
 app = typer.Typer(
@@ -96,11 +98,24 @@ def run(arguments: list[str]) -> int:
                 return _fail(text)
             elif text:
                 context = getattr(error, "ctx", None)
+                text = _in_plain_words(text, arguments)
                 _misused(text, _command_path(arguments) if context is None else context.command_path)
             return int(error.exit_code)
         if type(error).__name__ == "Abort":
             raise KeyboardInterrupt from error
         raise
+
+
+def _in_plain_words(text: str, arguments: list[str]) -> str:
+    """Return what the parser says of a value that it cannot convert, with the value and without the parser's jargon."""
+    found = re.match(r"Invalid value for '?(-[-\w]+)[^:]*: ", text)
+    for jargon, words in _JARGON.items():
+        if jargon in text and found is not None:
+            option = found[1]
+            given = [b for a, b in itertools.pairwise([*arguments, ""]) if a == option]
+            given += [word.partition("=")[2] for word in arguments if word.startswith(f"{option}=")]
+            return f"{option} takes {words}" + (f", not {given[0]!r}" if len(given) == 1 else "")
+    return text.replace("Value error, ", "")
 
 
 def _is_of_a_file(text: str, arguments: list[str]) -> bool:

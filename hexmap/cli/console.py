@@ -19,7 +19,18 @@ from hexmap.base.text import printable
 _FINEST, _COARSEST = 0.001, 10.0
 _PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg")
 
-__all__ = ["check_applies", "check_map_output", "check_outputs", "compiling_note", "first_run_note", "progress_line", "say", "warn", "warn_of_size", "wrote"]
+__all__ = [
+    "check_applies",
+    "check_map_output",
+    "check_outputs",
+    "compiling_note",
+    "first_run_note",
+    "progress_line",
+    "say",
+    "warn",
+    "warn_of_size",
+    "wrote",
+]
 
 
 def say(text: str) -> None:

@@ -23,9 +23,9 @@ from hexmap.io.map_file import load_map, save_map
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.pose import Pose
 from localisation.matching.local_matcher import LocalMatcher
 from localisation.matching.score import coincidence
-from hexmap.poses.pose import Pose
 from tests.observing import wait_until
 
 
@@ -109,9 +109,23 @@ def test_cells_that_make_no_map_get_a_word(
     assert f"warning: cells of {metres:g} m are {word}" in capsys.readouterr().err
 
 
-def test_an_error_that_was_asked_for_and_said_is_no_failure(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (("--levels", "many"), "--levels takes a whole number, not 'many'"),
+        (("--resolution=fine",), "--resolution takes a number, not 'fine'"),
+        (("--trajectory-of", "foo"), "'foo' is not one of 'all', 'scans'"),
+    ],
+)
+def test_what_the_parser_says_is_plain(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: tuple[str, ...], words: str
 ) -> None:
+    text = refused(capsys, 2, "build", folder / "a.clf", "-o", tmp_path / "m.parquet", *option)
+    assert words in text
+    assert not any(jargon in text for jargon in ("parse", "Input should", "Value error"))
+
+
+def test_an_error_that_was_asked_for_and_said_is_no_failure(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("evaluate", folder / "a.tum", "--reference", folder / "a.tum", "--step", 1000) == 0
     out, err = capsys.readouterr()
     assert "absolute error" in out and err.startswith("warning: no relative error: ")
@@ -154,9 +168,7 @@ def test_options_of_maps_do_not_apply_to_points(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, option: tuple[str, str]
 ) -> None:
     monkeypatch.chdir(folder)
-    assert f"leave out {option[0]}" in refused(
-        capsys, 2, "show", "cube.xyz", "-o", "o.png", "--volume", "0.1", *option
-    )
+    assert f"leave out {option[0]}" in refused(capsys, 2, "show", "cube.xyz", "-o", "o.png", "--volume", "0.1", *option)
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,8 @@ def plan(
         ),
     ] = None,
     lattice: Annotated[
-        str | None, typer.Option(help=f"Lattice: {', '.join(_LATTICES)}.", show_default="A2 or D3; of hexmap's maps their own")
+        str | None,
+        typer.Option(help=f"Lattice: {', '.join(_LATTICES)}.", show_default="A2 or D3; of hexmap's maps their own"),
     ] = None,
     resolution: Annotated[
         float | None,

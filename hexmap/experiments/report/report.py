@@ -183,7 +183,8 @@ class Report:
         files = _files(self._elements)
         content = (self.title, self.command, self.settings, self._elements)
         listed = f'<meta name="{_LIST}" content="{" ".join(files)}">'
-        pages = {"report.html": html(*content).replace("</head>", f"{listed}</head>", 1).encode(), "report.md": markdown(*content).encode()}
+        page = html(*content).replace("</head>", f"{listed}</head>", 1)
+        pages = {"report.html": page.encode(), "report.md": markdown(*content).encode()}
         before = _files_of_before(target)
         with ExitStack() as stack:
             # The last one opened takes its name first.
