@@ -9,5 +9,10 @@ from __future__ import annotations
 
 import lazy_loader
 
+from hexmap.base.kernel_cache import find_kernel_cache
+
+# Before any module with kernels is loaded.
+find_kernel_cache()
+
 # The names, and the modules they live in, stand in __init__.pyi; each is loaded when it is first used.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -184,7 +184,7 @@ def evaluate_relations(trajectory: Trajectory, relations: Relations, tolerance: 
 def _associate(
     reference: Trajectory, estimate: Trajectory, associate: Associate, tolerance: float
 ) -> tuple[IntArray, IntArray, int]:
-    """Pair the poses: indices into both trajectories, and how many poses found no partner."""
+    """Pair the poses: indices into both trajectories, by time if so paired, and how many poses found no partner."""
     _check_tolerance(tolerance)
     if len(reference) == 0 or len(estimate) == 0:
         raise TrajectoryError(
@@ -210,10 +210,10 @@ def _associate(
             f"the {len(sparse)} poses of the {name} have only {different} different stamps, "
             "so they cannot be told apart by time; use --associate order"
         )
-    if np.array_equal(reference.stamps, estimate.stamps):
+    by_time = [np.argsort(each.stamps, kind="stable") for each in (reference, estimate)]
+    if np.array_equal(reference.stamps[by_time[0]], estimate.stamps[by_time[1]]):
         # Stamps repeat in real logs; where both list the same ones, each pose goes with its own.
-        both = np.arange(len(reference))
-        return both, both, 0
+        return by_time[0], by_time[1], 0
     found, off = dense.nearest(sparse.stamps)
     ok = off <= tolerance
     if not ok.any():
@@ -222,7 +222,10 @@ def _associate(
             f"{_range(reference.stamps)}; estimate {len(estimate)} stamps, {_range(estimate.stamps)}; "
             "try --associate order if both list the same poses"
         )
-    of_sparse, of_dense = np.flatnonzero(ok), found[ok]
+    # By time, and not in the order of the lines: the motion over a step is that between poses that follow one another.
+    order = by_time[1 if swap else 0]
+    of_sparse = order[ok[order]]
+    of_dense = found[of_sparse]
     skipped = len(sparse) - len(of_sparse)
     return (of_dense, of_sparse, skipped) if swap else (of_sparse, of_dense, skipped)
 

@@ -1,6 +1,7 @@
 from .any_angle.optimum import AnyAngleOptimum, OptimalPath
 from .any_angle.shortcut import shortcut
 from .any_angle.theta_star import any_angle, line_of_sight
+from .between_points import between_points, path_between
 from .path import NoPath, Path, to_cell
 from .path_files import PathTable, read_path, write_path
 from .replanning.replanner import Replanner
@@ -20,10 +21,12 @@ __all__ = [
     "Replanner",
     "any_angle",
     "astar",
+    "between_points",
     "canonical",
     "dijkstra",
     "line_of_sight",
     "nearest_reachable",
+    "path_between",
     "plan_many",
     "read_path",
     "shortcut",

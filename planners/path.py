@@ -11,11 +11,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError, HexmapError
+from hexmap.base.text import quoted
+from hexmap.base.values import integers
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
 
-__all__ = ["NoPath", "Path", "cells_to_flat", "leg_costs", "make_path", "measure", "not_connected", "to_cell"]
+__all__ = [
+    "NoPath",
+    "Path",
+    "cells_to_flat",
+    "clearances",
+    "leg_costs",
+    "make_path",
+    "measure",
+    "not_connected",
+    "to_cell",
+]
 
 
 class NoPath(HexmapError, ValueError):
@@ -94,8 +106,24 @@ def make_path(
     points = np.ascontiguousarray(graph.lattice.centres(cells), dtype=np.float64)
     length, turning = measure(points)
     cost = math.fsum(leg_costs(graph, flat))
-    least = None if clearance is None else float(np.asarray(clearance).reshape(-1)[flat].min())
+    least = None if clearance is None else float(clearances(graph, clearance)[flat].min())
     return Path(cells, points, cost, length, turning, least, int(expansions), int(pushes), int(scanned), seconds, bound)
+
+
+def clearances(graph: LatticeGraph, values: ArrayLike) -> NDArray[np.float64]:
+    """Return the clearances (size,) of a graph's flat cells, given as they are or without the padding.
+
+    Raises:
+        ArgumentError: neither one number for each flat cell nor one for each cell of ``inner_shape``.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape == (graph.size,):
+        return array
+    if array.shape == graph.inner_box.dims:
+        out = np.zeros(graph.size)
+        graph.box.without_padding(out, graph.pad)[...] = array
+        return out
+    raise ArgumentError(f"clearances are ({graph.size},) or {graph.inner_box.dims}, not {array.shape}")
 
 
 def leg_costs(graph: LatticeGraph, flat: IntArray) -> NDArray[np.float64]:
@@ -141,7 +169,7 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
 
     Args:
         graph: where they are to lie.
-        cells: integer indices.
+        cells: integer indices, as an array or a list: a tuple could be a point in metres.
         role: "start" or "goal", for the error.
         blocked: a blocked cell is an error.
 
@@ -149,11 +177,16 @@ def cells_to_flat(graph: LatticeGraph, cells: ArrayLike, role: str, *, blocked: 
         ArgumentError: not integers of that shape, or none.
         NoPath: a cell lies outside the map or is blocked.
     """
-    array = np.asarray(cells)
+    array = integers(cells)
     n = graph.lattice.dim
-    if array.dtype.kind not in "iu":
+    if isinstance(cells, tuple):
+        # (12, -8) is how a point in metres is written, and its numbers are often whole.
+        raise ArgumentError(
+            f"a {role} is a cell's index as an array or a list, not {quoted(cells)}: "
+            "to_cell makes one of a point in metres"
+        )
+    if array is None:
         raise ArgumentError(f"a {role} is given as a cell's integer index; to_cell makes one of a point in metres")
-    array = array.astype(np.int64)
     array = array[None] if array.ndim == 1 else array
     if array.ndim != 2 or array.shape[1] != n or len(array) == 0:
         raise ArgumentError(f"a {role} must be a cell ({n},) or cells (M, {n}), not {np.shape(cells)}")

@@ -30,8 +30,10 @@ _DISK_ERRORS = frozenset(
 
 
 def _cannot_write(path: Path, error: OSError) -> FileAccessError:
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, FileNotFoundError) and not path.parent.is_dir():
         return FileAccessError(f"{path}: cannot be written: there is no folder {path.parent}")
+    if isinstance(error, FileNotFoundError):
+        return FileAccessError(f"{path}: cannot be written: no files can be made in {path.parent}")
     return FileAccessError(f"{path}: cannot be written: {reason(error)}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["plural", "quoted", "reason", "shown", "whole_number"]
+__all__ = ["plural", "printable", "quoted", "reason", "shown", "whole_number"]
 
 
 def shown(token: bytes | str, length: int = 24) -> str:
@@ -32,6 +32,21 @@ def quoted(value: object, length: int = 40) -> str:
     if len(text) <= length:
         return text
     return text[: length - 4] + "...'" if isinstance(value, (bytes, str)) else text[: length - 3] + "..."
+
+
+def printable(text: str) -> str:
+    r"""Return lines of text for a terminal or a file: what is not printable, as names may hold it, is escaped.
+
+    Names of files may hold any byte: an escape sequence would be obeyed, and what is not UTF-8 cannot be printed.
+
+    Examples:
+        >>> from hexmap.base.text import printable
+        >>> printable("a\x1b[31m\u2028b\nc")
+        'a\\x1b[31m\\u2028b\nc'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def plural(count: int, noun: str) -> str:

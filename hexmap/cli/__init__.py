@@ -36,8 +36,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     before: dict[int, Any] = {}
     with contextlib.suppress(ValueError):  # not the main thread: leave signals alone
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before[number] = signal.signal(number, note)
+        # Of nohup no signal is taken that it wants ignored.
+        ends = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+        for number in ends:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, note)
     try:
         # Even while modules load, Ctrl-C must end in one line.
         from hexmap.cli.commands import run

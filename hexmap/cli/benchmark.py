@@ -11,6 +11,7 @@ import typer
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say
 from hexmap.cli.experiments import check_folder, command_line, write_report
+from hexmap.cli.plan.map_source import found
 
 Number = TypeVar("Number", int, float)
 
@@ -46,11 +47,19 @@ def planning(
     seed: clouds.Seed = 0,
 ) -> None:
     """Square against hexagonal grids, cubic against FCC and BCC: length, turning, clearance, effort, time."""
-    from hexmap.base.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError, FormatError, HexmapError
+    from hexmap.io.file_kinds import is_parquet
     from planners.benchmark.benchmark import planning_benchmark
     from planners.benchmark.settings import BenchmarkSettings
 
     check_folder(output)
+    paths = [found(path) for path in maps]
+    for path in paths:
+        if is_parquet(path):
+            raise FormatError(
+                f"{path}: the benchmark compares lattices on squares or cubes of others, and a map of hexmap is on one "
+                "lattice already; hexmap export writes it as .yaml"
+            )
     known = ("astar", "dijkstra", "canonical")
     chosen = tuple(name.strip() for name in planners.split(",") if name.strip())
     for name in chosen:
@@ -84,18 +93,12 @@ def planning(
             update(done)
 
         outcome = planning_benchmark(
-            [_found(path) for path in maps], settings, command=command_line(), folder=output,
+            paths, settings, command=command_line(), folder=output,
             workers=workers, progress=progress,
         )  # fmt: skip
     write_report(outcome.report, output)
     if outcome.failures:
-        raise ArgumentError("; ".join(outcome.failures))
-
-
-def _found(path: Path) -> Path:
-    """Return a map's path, or its packed form where only that is there."""
-    packed = path.with_name(path.name + ".gz")
-    return packed if not path.exists() and packed.exists() else path
+        raise HexmapError("; ".join(outcome.failures))
 
 
 def _numbers(text: str, option: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.build_lidar import LidarOutputs, build_lidar, lidar_settings
-from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.console import (
+    check_map_output,
+    check_outputs,
+    first_run_note,
+    progress_line,
+    say,
+    warn,
+    warn_of_size,
+    wrote,
+)
 from hexmap.cli.log_options import (
     AngleMin,
     AngleStep,
@@ -118,6 +127,8 @@ def build(
         {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
         tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
     )
+    check_map_output(output)
+    warn_of_size(resolution)
     for path in (picture, loops_picture):
         if path is not None:
             check_picture(path)
@@ -138,10 +149,7 @@ def build(
             log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
         )  # fmt: skip
         return
-    paths = [log.resolve() for log in logs]
-    for k, log in enumerate(logs):
-        if paths[k] in paths[:k]:
-            raise ArgumentError(f"{log}: named twice, and would count twice")
+    _check_twice(logs, continue_map)
     asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
     for option in (name for name, value in asked.items() if value):
         if poses is not None or not loop_closure:
@@ -178,6 +186,28 @@ def build(
     )
     if result.slam is not None:
         _write_loops(result, settings, loops, loops_picture, graph, covariance)
+
+
+def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
+    """Refuse logs of the same content, and those that are in the map that goes on.
+
+    Raises:
+        ArgumentError: naming the log.
+    """
+    from hexmap.base.errors import ArgumentError
+    from hexmap.io.fingerprint import fingerprint
+    from hexmap.io.map_file import read_metadata
+
+    if len(logs) < 2 and continue_map is None:
+        return
+    prints = [fingerprint(log) for log in logs]
+    sources = [] if continue_map is None else read_metadata(continue_map)["provenance"]
+    known = {str(s.get("log_id")).partition(":")[0] for s in sources if isinstance(s, dict)}
+    for k, log in enumerate(logs):
+        if prints[k] is not None and prints[k] in prints[:k]:
+            raise ArgumentError(f"{log}: named twice, and would count twice")
+        if prints[k] in known:
+            raise ArgumentError(f"{log}: it is in {continue_map} already, and would count twice")
 
 
 # Options that are for the logs of a planar laser alone, and for those of a LiDAR alone.

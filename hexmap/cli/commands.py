@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import re
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from hexmap.base.errors import HexmapError
+from hexmap.base.errors import ArgumentError, HexmapError, LatticeError
+from hexmap.base.text import printable
 from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, showing, viewing
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
@@ -16,6 +19,9 @@ from hexmap.cli.plan.query import PlanCommand
 __all__ = ["app", "run"]
 
 STOPPED = 130
+# What the parser says of words that are no numbers.
+_JARGON = {"valid integer": "a whole number", "valid number": "a number", "valid boolean": "true or false"}
+_OUTPUTS = ("-o", "--output", "--picture", "--loops-picture")
 
 app = typer.Typer(
     name="hexmap",
@@ -68,6 +74,8 @@ def run(arguments: list[str]) -> int:
             raise KeyboardInterrupt
         return code if isinstance(code, int) else 0
     except HexmapError as error:
+        if isinstance(error, (ArgumentError, LatticeError)) and not _is_of_a_file(str(error), arguments):
+            return _misused(str(error), _command_path(arguments))
         return _fail(str(error))
     except SystemExit as leaving:
         # The parser leaves this way with 1 when the reader of our output has gone (hexmap info m.parquet | head).
@@ -89,14 +97,61 @@ def run(arguments: list[str]) -> int:
             elif "is not readable" in text:  # a bad file, not wrong usage
                 return _fail(text)
             elif text:
-                command = getattr(getattr(error, "ctx", None), "command_path", "hexmap")
-                sys.stderr.write(f"hexmap: {' '.join(text.split())} (see: {command} --help)\n")
+                context = getattr(error, "ctx", None)
+                text = _in_plain_words(text, arguments)
+                _misused(text, _command_path(arguments) if context is None else context.command_path)
             return int(error.exit_code)
         if type(error).__name__ == "Abort":
             raise KeyboardInterrupt from error
         raise
 
 
+def _in_plain_words(text: str, arguments: list[str]) -> str:
+    """Return what the parser says of a value that it cannot convert, with the value and without the parser's jargon."""
+    found = re.match(r"Invalid value for '?(-[-\w]+)[^:]*: ", text)
+    for jargon, words in _JARGON.items():
+        if jargon in text and found is not None:
+            option = found[1]
+            given = [b for a, b in itertools.pairwise([*arguments, ""]) if a == option]
+            given += [word.partition("=")[2] for word in arguments if word.startswith(f"{option}=")]
+            return f"{option} takes {words}" + (f", not {given[0]!r}" if len(given) == 1 else "")
+    return text.replace("Value error, ", "")
+
+
+def _is_of_a_file(text: str, arguments: list[str]) -> bool:
+    """Tell whether an error is of a file that is read: it begins with the name; of an option's value it does not.
+
+    The name of an output is the value of an option.
+    """
+    words = []
+    for before, word in itertools.pairwise(["", *arguments]):
+        option, _, value = word.partition("=")
+        if before not in _OUTPUTS and option not in _OUTPUTS:
+            words += [part for part in (word, value) if part]
+    return any(text.startswith((f"{word}: ", f"{os.path.normpath(word)}: ")) for word in words)
+
+
+def _command_path(arguments: list[str]) -> str:
+    """Return the command that was called, such as "hexmap experiment rotation"."""
+    at: Any = typer.main.get_command(app)
+    path = ["hexmap"]
+    for word in arguments:
+        at = getattr(at, "commands", {}).get(word)
+        if at is None:
+            break
+        path.append(word)
+    return " ".join(path)
+
+
+def _one_line(text: str) -> str:
+    return re.sub("[ \n]+", " ", printable(text)).strip()
+
+
+def _misused(text: str, command: str) -> int:
+    sys.stderr.write(f"hexmap: {_one_line(text)} (see: {command} --help)\n")
+    return 2
+
+
 def _fail(text: str) -> int:
-    sys.stderr.write(f"hexmap: {' '.join(text.split())}\n")
+    sys.stderr.write(f"hexmap: {_one_line(text)}\n")
     return 1

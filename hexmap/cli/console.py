@@ -12,24 +12,75 @@ from typing import Any
 
 import typer
 
-from hexmap.base.errors import ArgumentError, FileAccessError
+from hexmap.base.errors import FileAccessError
+from hexmap.base.text import printable
 
-__all__ = ["check_outputs", "compiling_note", "first_run_note", "progress_line", "say", "warn", "wrote"]
+# Metres: lasers measure to a few millimetres at best, and a room is some metres wide.
+_FINEST, _COARSEST = 0.001, 10.0
+_PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg")
+
+__all__ = [
+    "check_applies",
+    "check_map_output",
+    "check_outputs",
+    "compiling_note",
+    "first_run_note",
+    "progress_line",
+    "say",
+    "warn",
+    "warn_of_size",
+    "wrote",
+]
 
 
 def say(text: str) -> None:
     """Print a line of the result."""
-    typer.echo(text)
+    typer.echo(printable(text))
 
 
 def warn(text: str) -> None:
     """Print a warning to standard error."""
-    typer.echo(f"warning: {text}", err=True)
+    typer.echo(printable(f"warning: {text}"), err=True)
 
 
 def wrote(path: Path | str, what: str) -> None:
     """Say what was written, and where."""
-    typer.echo(f"wrote {path}  ({what})")
+    typer.echo(printable(f"wrote {path}  ({what})".replace("\n", "\\n")))
+
+
+def check_applies(path: Path | None, what: str, options: dict[str, bool]) -> None:
+    """Refuse options that say nothing of what is given: option -> whether it was set.
+
+    Raises:
+        BadParameter: naming those that were set.
+    """
+    given = [name for name, is_set in options.items() if is_set]
+    if given:
+        raise typer.BadParameter(f"{path}: {what}; leave out {' and '.join(given)}")
+
+
+def check_map_output(path: Path) -> None:
+    """Check that a map file to write is called one.
+
+    Raises:
+        BadParameter: its suffix is another; a picture or a text of that name would hold Parquet.
+    """
+    if path.suffix.lower() != ".parquet" and not _is_device(path):
+        instead = f"; hexmap show draws a map into {path.name}" if path.suffix.lower() in _PICTURES else ""
+        found = f"as {path.suffix}" if path.suffix else "to a file without a suffix"
+        raise typer.BadParameter(f"--output: {path}: a map is written as .parquet, not {found}{instead}")
+
+
+def warn_of_size(metres: float | None) -> None:
+    """Warn of cells that are finer than a laser measures, or larger than the rooms that a map is to show."""
+    if metres is not None and 0.0 < metres < _FINEST:
+        warn(f"cells of {metres:g} m are finer than a laser measures; a map of them is large and full of gaps")
+    if metres is not None and _COARSEST < metres < float("inf"):
+        warn(f"cells of {metres:g} m are larger than rooms; hardly anything can be told apart in a map of them")
+
+
+def _is_device(path: Path) -> bool:
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def check_outputs(outputs: dict[str, Path | None], inputs: tuple[Path, ...] = ()) -> None:
@@ -40,8 +91,8 @@ def check_outputs(outputs: dict[str, Path | None], inputs: tuple[Path, ...] = ()
         inputs: files that are read.
 
     Raises:
-        FileAccessError: a folder does not exist or cannot be written to.
-        ArgumentError: two outputs, or an output and an input, are the same file.
+        FileAccessError: a folder does not exist or cannot be written to; two outputs, or an output and an input, are
+            the same file.
     """
     seen: dict[str, Path] = {}
     for option, path in outputs.items():
@@ -56,12 +107,12 @@ def check_outputs(outputs: dict[str, Path | None], inputs: tuple[Path, ...] = ()
             raise FileAccessError(f"{path}: cannot be written: the folder is write-protected")
         for other, there in seen.items():
             if _same(path, there):
-                raise ArgumentError(f"{other} and {option} are the same file: {path}")
+                raise FileAccessError(f"{other} and {option} are the same file: {path}")
         seen[option] = path
     for path in inputs:
         for option, there in seen.items():
             if _same(path, there):
-                raise ArgumentError(f"{option} would overwrite what is read: {path}")
+                raise FileAccessError(f"{option} would overwrite what is read: {path}")
 
 
 def _same(a: Path, b: Path) -> bool:

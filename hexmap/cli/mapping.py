@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.build import Associate, Readings, build_and_report
-from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, wrote
+from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, warn, wrote
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
+    from hexmap.poses.pose import Pose
     from localisation.evaluation import ErrorStatistics
 
 
@@ -114,34 +116,101 @@ def _simulate_in_space(
 
 
 def merge(
-    maps: Annotated[list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame.")],
+    maps: Annotated[
+        list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame; one to move it.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
     align: Annotated[
         bool, typer.Option("--align", help="Find each further map in those before it first, and move it there.")
     ] = False,
+    same_frame: Annotated[
+        bool, typer.Option("--same-frame", help="Take maps of different logs to be in the same frame.")
+    ] = False,
+    transform: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            help="Where the second map lies in the frame of the first, or where the only one is moved to.",
+            metavar="X Y DEGREES",
+        ),
+    ] = None,
+    again: Annotated[bool, typer.Option("--again", help="Count a log again that is in several of the maps.")] = False,
 ) -> None:
-    """Merge maps cell by cell; the order does not matter unless they are aligned."""
-    from hexmap.base.errors import AlignmentError, ArgumentError, LatticeError
+    """Merge maps cell by cell; the order does not matter unless they are moved."""
+    from hexmap.base.errors import AlignmentError, ArgumentError, BoundsError, LatticeError
     from hexmap.io.map_file import load_map, save_map
+    from hexmap.maps.origin import common_logs, logs_in_words
 
-    if len(maps) < 2:
-        raise ArgumentError("merging takes two maps or more")
+    _check_merge(len(maps), align, same_frame, transform)
+    check_map_output(output)
     check_outputs({"--output": output}, tuple(maps))
     merged = load_map(maps[0])
+    pose = _planar_or_upright(transform, merged.lattice.dim)
+    if len(maps) == 1:
+        save_map(output, merged.transform(pose))
+        wrote(output, f"moved by {_transform_words(transform)}")
+        return
     found: list[str] = []
     for path in maps[1:]:
+        other = load_map(path)
+        twice = common_logs(merged.sources(), other.sources())
+        if twice and not again:
+            raise ArgumentError(
+                f"{path}: {logs_in_words(twice)} is in the other maps, too, and would count twice; --again does that"
+            )
         try:
             if align:
-                merged, words = _merge_aligned(merged, load_map(path))
+                merged, words = _merge_aligned(merged, other)
                 found.append(f"; {path.name} at {words}")
+            elif transform is not None:
+                from localisation.mapping.align import moved_into
+
+                merged = merged.merge(moved_into(merged, other, pose), same_frame=True)
+                found.append(f"; {path.name} at {_transform_words(transform)}")
             else:
-                merged = merged.merge(load_map(path))
+                merged = merged.merge(other, same_frame=same_frame)
         except AlignmentError as error:
             raise AlignmentError(f"{path}: not found in {maps[0]}: {error}") from error
-        except (LatticeError, ArgumentError) as error:
-            raise type(error)(f"{path}: cannot be merged with {maps[0]}: {error}") from error
+        except (LatticeError, ArgumentError, BoundsError) as error:
+            ways = "; --align, --transform X Y DEGREES or --same-frame says how they lie"
+            ways = ways if "different frames" in str(error) else ""
+            raise type(error)(f"{path}: cannot be merged with {maps[0]}: {error}{ways}") from error
     save_map(output, merged)
     wrote(output, f"{len(maps)} maps merged, {len(merged.levels[0].hits)} cells hit{''.join(found)}")
+
+
+def _check_merge(count: int, align: bool, same_frame: bool, transform: tuple[float, float, float] | None) -> None:
+    """Reject options of ``merge`` that do not go together."""
+    given = {"--align": align, "--same-frame": same_frame, "--transform": transform is not None}
+    named = [name for name, is_given in given.items() if is_given]
+    if len(named) > 1:
+        raise typer.BadParameter(f"{' and '.join(named)} say different things of how the maps lie; give one of them")
+    if transform is not None and not all(math.isfinite(v) for v in transform):
+        raise typer.BadParameter("--transform takes finite numbers: metres, metres, degrees")
+    if transform is not None and count > 2:
+        raise typer.BadParameter(f"--transform says where one map lies in another, and there are {count}")
+    if count < 2 and transform is None:
+        raise typer.BadParameter("merging takes two maps or more; one map is moved with --transform")
+
+
+def _planar_or_upright(transform: tuple[float, float, float] | None, dim: int) -> Pose:
+    """Return the pose of x, y in metres and a turn about z in degrees, in the plane or in space."""
+    import numpy as np
+
+    from hexmap.poses.pose import Pose
+
+    x, y, degrees = transform or (0.0, 0.0, 0.0)
+    flat = Pose.planar(x, y, math.radians(degrees))
+    if dim == 2:
+        return flat
+    rotation = np.eye(3)
+    rotation[:2, :2] = flat.rotation
+    return Pose(rotation, [x, y, 0.0])
+
+
+def _transform_words(transform: tuple[float, float, float] | None) -> str:
+    """Return a transform as it stands in a message."""
+    x, y, degrees = transform or (0.0, 0.0, 0.0)
+    return f"({x:g}, {y:g}) m, {degrees:g} degrees"
 
 
 def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
@@ -168,12 +237,14 @@ def evaluate(
     step: Annotated[float, typer.Option(help="Distance of the pairs for the relative error, m.")] = 1.0,
 ) -> None:
     """Score a trajectory: relations, or absolute error after rigid alignment and relative error."""
-    from hexmap.base.errors import ArgumentError
+    from hexmap.base.errors import ArgumentError, TrajectoryError
     from hexmap.io.trajectories import read_relations, read_trajectory
     from localisation.evaluation import absolute_error, evaluate_relations, relative_error
 
     if relations is None and reference is None:
         raise ArgumentError("evaluate takes --relations or --reference, or both")
+    if not (math.isfinite(step) and step > 0.0):
+        raise typer.BadParameter(f"--step is a positive number of metres, not {step:g}")
     poses = read_trajectory(trajectory)
     if relations is not None:
         score = evaluate_relations(poses, read_relations(relations), tolerance)
@@ -186,7 +257,11 @@ def evaluate(
         say(f"absolute error after rigid alignment: {ate.used} poses used, {ate.skipped} left out")
         _report("translation", ate.translation, "m")
         _report("rotation", ate.rotation_deg, "deg")
-        rpe = relative_error(truth, poses, step, "metres", associate.value, tolerance)
+        try:
+            rpe = relative_error(truth, poses, step, "metres", associate.value, tolerance)
+        except TrajectoryError as error:  # what was asked for and is known has been said
+            warn(f"no relative error: {error}")
+            return
         say(f"relative error over {step:g} m: {rpe.used} pairs")
         _report("translation", rpe.translation, "m")
         _report("rotation", rpe.rotation_deg, "deg")

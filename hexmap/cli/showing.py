@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import check_outputs, say, warn, wrote
+from hexmap.cli.console import check_applies, check_outputs, say, warn, wrote
 from hexmap.cli.viewing import LevelOption, MinHits, MinRatio, rule_of
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hexmap.poses.trajectory import Trajectory
 
 _NO_OFFSET = (0.0, 0.0, 0.0)
+_VIEW = -120.0, 35.0  # degrees, of the eye
 _DRAWINGS = (".svg", ".pdf")  # that hold shapes, not pixels: they show a map in space from above
 
 
@@ -66,7 +67,7 @@ def show(
     ] = None,
     volume: clouds.Volume = None,
     resolution: clouds.Resolution = None,
-    view: Annotated[tuple[float, float], typer.Option(help="Azimuth and elevation of the eye, degrees.")] = (-120, 35),
+    view: Annotated[tuple[float, float], typer.Option(help="Azimuth and elevation of the eye, degrees.")] = _VIEW,
     cut_above: Annotated[float | None, typer.Option(help="Take off cells above this height, m.")] = None,
     slice: Annotated[
         Any, typer.Option("--slice", parser=parse_height, metavar="z=M", help="Draw a horizontal slice at this height.")
@@ -97,15 +98,29 @@ def show(
 
         poses = read_trajectory(trajectory)
     size = clouds.cell_size(resolution, volume, None, 3)
-    if is_parquet(source):
+    of_points = {
+        "--format": format is not None, "--units": units != "m", "--axes": axes != "xyz",
+        "--columns": columns is not None, "--offset": offset != "auto", "--min-range": min_range != 0.0, "--max-range": max_range is not None,
+        "--crop": crop is not None, "--unique": unique, "--sample": sample is not None, "--seed": seed != 0,
+    }  # fmt: skip
+    of_maps = {"--level": level != 0, "--min-hits": min_hits is not None, "--min-ratio": min_ratio is not None}
+    own, foreign = is_parquet(source), is_grid(source)
+    if own or foreign:
+        check_applies(source, "these say how points are read, and this is a map", of_points)
+    if not own:
+        what = "only maps of hexmap have levels and hits" if foreign else "points have no levels, hits or poses"
+        check_applies(source, what, of_maps if foreign else {**of_maps, "--trajectory": trajectory is not None})
+    if own:
         scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None)
-    elif is_grid(source):
+    elif foreign:
         scene = _map_of_others(source, lattice, size)
     else:
         scene = _points(
             source, lattice, size, reading=clouds.Reading(format, units, axes, columns, offset),
             min_range=min_range, max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed,
         )  # fmt: skip
+    if scene.states.occupied.lattice.dim == 2:
+        check_applies(source, "the map is flat", {"--view": view != _VIEW, "--cut-above": cut_above is not None})
     drawn = output is not None and output.suffix.lower() in _DRAWINGS and scene.offset == _NO_OFFSET
     if scene.states.occupied.lattice.dim == 2 or (drawn and slice is None and not viewer):
         _show_flat(source, scene, output, poses, slice, viewer)

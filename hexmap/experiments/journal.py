@@ -6,11 +6,14 @@ import contextlib
 import io
 import json
 import os
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from hexmap.base.errors import FileAccessError, FormatError
+
+_CHECKSUM = b',"crc32":'
 
 
 class Journal:
@@ -76,14 +79,16 @@ class Journal:
             raise FormatError(f"{self._path}: is not the journal of this experiment; move it away to begin anew")
         for line in lines[1:]:
             entry = _parse(line)
-            # A line that cannot be read only costs its case a second time.
-            if isinstance(entry.get("key"), str) and isinstance(entry.get("result"), dict):
-                self.finished[entry["key"]] = entry["result"]
+            # A line that cannot be read, or is not as it was written, only costs its case a second time.
+            key, result = entry.get("key"), entry.get("result")
+            if isinstance(key, str) and isinstance(result, dict) and _is_whole(line):
+                self.finished[key] = result
 
     def append(self, key: str, case: str, result: str) -> None:
         """Add a finished case; ``case`` and ``result`` are JSON already."""
         if self._file is not None:
-            self._write_line(f'{{"key":"{key}","case":{case},"result":{result}}}\n')
+            line = f'{{"key":"{key}","case":{case},"result":{result}'
+            self._write_line(f"{line}{_CHECKSUM.decode()}{zlib.crc32(line.encode())}}}\n")
 
     def _write(self, value: object) -> None:
         self._write_line(json.dumps(value, separators=(",", ":")) + "\n")
@@ -98,9 +103,15 @@ class Journal:
             raise FileAccessError(f"{self._path}: cannot be written: {error.strerror or error}") from error
 
 
+def _is_whole(line: bytes) -> bool:
+    """Tell whether a line has the checksum of what is before it."""
+    before, found, checksum = line.rpartition(_CHECKSUM)
+    return bool(found) and checksum == b"%d}" % zlib.crc32(before)
+
+
 def _parse(line: bytes) -> dict[str, Any]:
     try:
         value = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return value if isinstance(value, dict) else {}

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import integers
 from hexmap.graph.bodies import Boxes
 from hexmap.graph.clearance import Clearance, To, check_to
 from hexmap.graph.moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
@@ -232,8 +233,14 @@ class LatticeGraph:
             BoundsError: it leaves the range of indices.
         """
         lattice = occupied.lattice
-        low, high = np.asarray(low_index, dtype=np.int64), np.asarray(high_index, dtype=np.int64)
-        if low.shape != (lattice.dim,) or high.shape != (lattice.dim,) or (low > high).any():
+        low, high = integers(low_index), integers(high_index)
+        if (
+            low is None
+            or high is None
+            or low.shape != (lattice.dim,)
+            or high.shape != (lattice.dim,)
+            or (low > high).any()
+        ):
             raise ArgumentError(f"a box of cells takes two corners of {lattice.dim} integers, the low one first")
         # Python's integers: the box may span all of int64.
         inner = [int(b) - int(a) + 1 for a, b in zip(low, high, strict=True)]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import integers
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.window import IndexBox
 
@@ -30,8 +31,8 @@ def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
         >>> swept_cells(Lattice.named("Z2"), [1, 1]).tolist()
         [[0, 1], [1, 0]]
     """
-    v = np.asarray(move, dtype=np.int64)
-    if v.shape != (lattice.dim,):
+    v = integers(move)
+    if v is None or v.shape != (lattice.dim,):
         raise ArgumentError(f"a move on {lattice.name} takes {lattice.dim} integers, not {move!r}")
     none = np.empty((0, lattice.dim), np.int64)
     if not v.any() or (lattice.faces == v).all(axis=1).any():
@@ -76,7 +77,7 @@ def moves_of(lattice: Lattice, neighbourhood: Neighbourhood) -> NDArray[np.int64
         moves = getattr(lattice, named[neighbourhood])
     else:
         raise ArgumentError(f"a neighbourhood is nearest, faces, extended or a size, not {neighbourhood!r}")
-    return np.ascontiguousarray(moves, dtype=np.int64)
+    return np.array(moves, dtype=np.int64, order="C")
 
 
 def lengths_of(lattice: Lattice, moves: NDArray[np.int64]) -> NDArray[np.float64]:

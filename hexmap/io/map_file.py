@@ -279,7 +279,11 @@ def _lattice(path: Path, header: dict[str, Any]) -> Lattice:
     except HexmapError as error:
         raise FormatError(f"{path}: damaged map: {error}") from error
     stated = header.get("resolution")
-    if not isinstance(stated, (int, float)) or not math.isclose(stated, lattice.resolution, rel_tol=1e-6):
+    try:
+        fits = isinstance(stated, (int, float)) and math.isclose(stated, lattice.resolution, rel_tol=1e-6)
+    except OverflowError:  # a whole number of more digits than any float64
+        fits = False
+    if not fits:
         raise FormatError(
             f"{path}: damaged map: it states a resolution of {quoted(stated)}, "
             f"its lattice's basis gives {lattice.resolution:g} m"
@@ -303,7 +307,7 @@ def _open(path: Path) -> IO[bytes]:
         return open(path, "rb")
     except FileAccessError:
         raise
-    except OSError as error:
+    except (OSError, ValueError) as error:  # a ValueError: a path with a null character
         raise cannot_read(path, error) from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import PathLike, atomic_write
-from hexmap.base.errors import ArgumentError
+from hexmap.base.errors import ArgumentError, FileAccessError
 from hexmap.maps.cubes import cubes_of
 from hexmap.maps.map import Map
 from hexmap.maps.outlines import ClassTable, pixel_rows
@@ -103,9 +102,8 @@ def export_ros_band(states: States, path: PathLike, heights: tuple[float, float]
 def _write(path: Path, resolution: float, origin: tuple[float, float], image: NDArray[np.uint8]) -> list[Path]:
     """Write the YAML file ``path`` and the image (H, W), the bottom row first, beside it; return both paths."""
     image_path = path.with_suffix(".pgm")
-    name = image_path.name
     lines = [
-        f"image: {name if re.fullmatch(r'[A-Za-z_][A-Za-z0-9_.-]*', name) else json.dumps(name, ensure_ascii=False)}",
+        f"image: {_yaml_text(path, image_path.name)}",
         f"resolution: {resolution!r}",
         f"origin: [{origin[0]!r}, {origin[1]!r}, 0.0]",
         "negate: 0",
@@ -113,13 +111,27 @@ def _write(path: Path, resolution: float, origin: tuple[float, float], image: ND
         "free_thresh: 0.196",
         "mode: trinary",
     ]
-    # The YAML file comes last: where it is, its image is too.
-    with atomic_write(image_path) as handle:
+    # Both are whole before either takes its name, and the YAML file comes last: where it is, its image is too.
+    with atomic_write(path, "w") as text, atomic_write(image_path) as handle:
+        text.write("\n".join(lines) + "\n")
+        text.flush()
         handle.write(b"P5\n%d %d\n255\n" % (image.shape[1], image.shape[0]))
         handle.write(np.ascontiguousarray(image[::-1]).data)
-    with atomic_write(path, "w") as handle:
-        handle.write("\n".join(lines) + "\n")
     return [path, image_path]
+
+
+def _yaml_text(path: Path, name: str) -> str:
+    """Return a file's name as YAML: plain where it can be, else quoted, with what is not printable escaped.
+
+    Raises:
+        FileAccessError: the name is not UTF-8, which no YAML file can say.
+    """
+    if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", name):
+        return name
+    if any("\ud800" <= c <= "\udfff" for c in name):
+        raise FileAccessError(f"{path}: cannot be written: the name is not UTF-8, and a YAML file names its image")
+    escaped = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in name)
+    return '"' + "".join(escaped) + '"'
 
 
 def _ros_image(path: Path, states: States) -> tuple[float, tuple[float, float], NDArray[np.uint8]]:

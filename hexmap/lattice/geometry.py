@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -133,7 +134,7 @@ def cell_polytope(faces: FloatArray) -> tuple[FloatArray, list[IntArray]]:
     return vertices, rings
 
 
-def cone_bases(vertices: FloatArray, rings: list[IntArray]) -> FloatArray:
+def cone_bases(vertices: FloatArray, rings: Sequence[IntArray]) -> FloatArray:
     """Return the faces cut into simplices (K, n, n): edges in the plane, triangles in space."""
     simplices = []
     for ring in rings:
@@ -149,7 +150,7 @@ def cone_bases(vertices: FloatArray, rings: list[IntArray]) -> FloatArray:
     return np.array(simplices)
 
 
-def second_moment(vertices: FloatArray, rings: list[IntArray]) -> float:
+def second_moment(vertices: FloatArray, rings: Sequence[IntArray]) -> float:
     """Return the dimensionless second moment G = (1/n) integral |x|^2 / V^(1 + 2/n), exactly.
 
     The integral of |x|^2 over a simplex of volume v with corners p_0 ... p_n is
@@ -163,7 +164,7 @@ def second_moment(vertices: FloatArray, rings: list[IntArray]) -> float:
     return total / n / float(volumes.sum()) ** (1 + 2 / n)
 
 
-def mean_error(vertices: FloatArray, rings: list[IntArray]) -> float:
+def mean_error(vertices: FloatArray, rings: Sequence[IntArray]) -> float:
     """Return the mean distance from the centre over the cell, for a cell of unit volume.
 
     |x| is homogeneous of degree one, so the integral over the cone above a face is

@@ -22,7 +22,6 @@ misprints put right:
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Mapping
 from functools import cached_property, lru_cache
 from numbers import Real
@@ -31,8 +30,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hexmap.base.arrays import FloatArray, multiply
+from hexmap.base.arrays import FloatArray, IntArray, multiply
 from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
+from hexmap.base.text import quoted
+from hexmap.base.values import Immutable, integers, lossless, read_only
 from hexmap.lattice import geometry as geometry
 from hexmap.lattice.window import IndexBox
 
@@ -105,21 +106,27 @@ class QuantiserTables(NamedTuple):
     to_reduced: NDArray[np.int64]
 
 
-class Cell:
+class Cell(Immutable):
     """The Voronoi cell of a lattice point, around the origin.
 
     Attributes:
         vertices: (V, n) float64, metres; in the plane counter-clockwise.
-        rings: for each face the indices of its vertices in order (edges of two in the plane).
+        rings: a tuple: for each face the indices of its vertices in order (edges of two in the plane).
         faces: (F, n) int64 lattice vectors to the neighbours across the faces, in ``rings``' order.
         normals: (F, n) float64, the same vectors in metres; the face is {x : x.v = |v|^2 / 2}.
     """
 
+    vertices: FloatArray
+    rings: tuple[IntArray, ...]
+    faces: IntArray
+    normals: FloatArray
+
     def __init__(self, basis: FloatArray, faces: NDArray[np.int64]) -> None:
         """Compute the polytope of the relevant vectors ``faces`` (F, n)."""
-        self.faces = faces
-        self.normals = faces @ basis.T
-        self.vertices, self.rings = geometry.cell_polytope(self.normals)
+        normals = faces @ basis.T
+        vertices, rings = geometry.cell_polytope(normals)
+        values = {"faces": read_only(faces), "normals": read_only(normals), "vertices": read_only(vertices)}
+        self.__dict__.update(values, rings=tuple(read_only(ring) for ring in rings))
 
     @cached_property
     def second_moment(self) -> float:
@@ -138,7 +145,7 @@ class Cell:
         return float(np.abs(np.linalg.det(bases)).sum()) / math.factorial(self.vertices.shape[1])
 
 
-class Lattice:
+class Lattice(Immutable):
     """A lattice in the plane or in space; an immutable value.
 
     Attributes:
@@ -156,6 +163,14 @@ class Lattice:
 
     basis: FloatArray
     name: str
+    # Of the reduced basis, for the quantiser and the traversal of rays.
+    _to_public: FloatArray
+    _to_reduced: IntArray
+    _gram_reduced: FloatArray
+    _gram: FloatArray
+    _relevant: IntArray
+    _inverse: FloatArray
+    _kernel_arguments: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
 
     def __init__(self, basis: ArrayLike, name: str = "custom") -> None:
         """Make a lattice of a basis (n, n) whose *columns* are the generators, in metres.
@@ -163,7 +178,10 @@ class Lattice:
         Raises:
             LatticeError: not a finite (2, 2) or (3, 3) matrix, or its columns are not independent.
         """
-        B = np.array(basis, dtype=np.float64)
+        given = lossless(basis)
+        if given is None:
+            raise LatticeError(f"the basis of a lattice must be numbers, not {quoted(basis)}")
+        B = given.astype(np.float64) + 0.0  # a zero has no sign: equal bases have equal bytes
         if B.shape not in ((2, 2), (3, 3)):
             raise LatticeError(f"the basis of a lattice must be (2, 2) or (3, 3), not {B.shape}")
         if not np.isfinite(B).all():
@@ -175,10 +193,12 @@ class Lattice:
             raise LatticeError(f"the columns of a lattice's basis are too short or too long to measure: {longest} m")
         if (lengths == 0.0).any() or abs(np.linalg.det(B / lengths)) < 1e-6:
             raise LatticeError("the columns of a lattice's basis must be independent")
-        B.setflags(write=False)
-        self.basis = B
-        self.name = str(name)
+        self.__dict__.update(basis=read_only(B), name=str(name))
         self._prepare()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy through the constructor: arrays that are unpickled can be written to."""
+        return Lattice, (np.array(self.basis), self.name)
 
     @classmethod
     def named(cls, name: str, resolution: float = 1.0) -> Lattice:
@@ -192,9 +212,13 @@ class Lattice:
         key = _ALIASES.get(name.casefold()) if isinstance(name, str) else None
         if key is None:
             raise LatticeError(f"no lattice is called {name!r}; known are {', '.join(NAMES)}")
-        number = isinstance(resolution, Real) and not isinstance(resolution, bool)
-        if not (number and math.isfinite(resolution) and resolution > 0.0):
-            raise LatticeError(f"a resolution must be a positive number of metres, not {resolution!r}")
+        try:
+            number = isinstance(resolution, Real) and not isinstance(resolution, bool)
+            positive = number and math.isfinite(resolution) and resolution > 0.0
+        except OverflowError:  # a whole number that no float64 holds
+            positive = False
+        if not positive:
+            raise LatticeError(f"a resolution must be a positive number of metres, not {quoted(resolution)}")
         B = np.array(_NAMED[key][1], dtype=np.float64).T
         unit = abs(np.linalg.det(B)) ** (1.0 / len(B))
         return cls(B * (float(resolution) / unit), key)
@@ -211,21 +235,19 @@ class Lattice:
                 f"the cells of a lattice may be {FLATTEST:g} times as long as wide, not {sides.max() / sides.min():.3g}"
             )
         G = np.ascontiguousarray(geometry.commensurate(reduced.T @ reduced))
-        self._to_public = np.ascontiguousarray(U, dtype=np.float64)
-        self._to_reduced = np.rint(np.linalg.inv(U)).astype(np.int64)
-        self._gram_reduced = G
-        self._gram = self._to_reduced.T @ G @ self._to_reduced
+        to_public = np.array(U, dtype=np.float64, order="C")
+        to_reduced = np.rint(np.linalg.inv(U)).astype(np.int64)
         relevant, extra, constants = _quantiser_tables(G.tobytes(), U.tobytes(), n)
-        self._relevant = relevant @ U.T
-        self._inverse = np.ascontiguousarray(np.linalg.inv(reduced))
-        self._kernel_arguments = (
-            self._inverse,
-            np.ascontiguousarray(2.0 * G),
-            np.ascontiguousarray(constants[: 2**n]),
-            extra,
-            np.ascontiguousarray(constants[2**n :]),
-            self._to_public,
-            float(self.limit),
+        inverse = np.ascontiguousarray(np.linalg.inv(reduced))
+        tables = inverse, 2.0 * G, constants[: 2**n].copy(), extra, constants[2**n :].copy(), to_public
+        self.__dict__.update(
+            _to_public=to_public,
+            _to_reduced=read_only(to_reduced),
+            _gram_reduced=read_only(G),
+            _gram=read_only(to_reduced.T @ G @ to_reduced),
+            _relevant=read_only(relevant @ U.T),
+            _inverse=inverse,
+            _kernel_arguments=(*map(read_only, tables), float(self.limit)),
         )
 
     # ------------------------------------------------------------------ the value
@@ -257,8 +279,8 @@ class Lattice:
 
     def scaled(self, factor: float) -> Lattice:
         """Return the same lattice with cells ``factor`` times as wide."""
-        if not (math.isfinite(factor) and factor > 0):
-            raise LatticeError(f"a lattice is scaled by a positive number, not {factor}")
+        if not isinstance(factor, Real) or not (math.isfinite(factor) and factor > 0):
+            raise LatticeError(f"a lattice is scaled by a positive number, not {quoted(factor)}")
         return Lattice(self.basis * factor, self.name)
 
     def to_dict(self) -> dict[str, Any]:
@@ -283,7 +305,7 @@ class Lattice:
 
     def __hash__(self) -> int:
         """Hash the basis."""
-        return hash(self.basis.tobytes())
+        return hash(self.basis.tobytes())  # of which no zero has a sign
 
     def __repr__(self) -> str:
         """Show name and resolution, or the basis where there is no name."""
@@ -303,7 +325,9 @@ class Lattice:
             ArgumentError: the array is not (N, n).
             BoundsError: a coordinate is not finite or its index is out of range; the first row is named.
         """
-        raw = np.asarray(points)
+        raw = lossless(points)
+        if raw is None:
+            raise ArgumentError(f"points must be an array of real numbers without a mask, not {quoted(points)}")
         if raw.size == 0 and raw.ndim != 2:
             raw = raw.reshape(0, self.dim)
         if raw.ndim != 2 or raw.shape[1] != self.dim:
@@ -366,7 +390,8 @@ class Lattice:
     @cached_property
     def quantiser_tables(self) -> QuantiserTables:
         """What kernels need that quantise points on their way."""
-        return QuantiserTables(*self._kernel_arguments, np.ascontiguousarray(self._to_reduced))
+        to_reduced = read_only(np.array(self._to_reduced, order="C"))
+        return QuantiserTables(*self._kernel_arguments, to_reduced=to_reduced)
 
     @cached_property
     def ray_tables(self) -> RayTables:
@@ -374,12 +399,9 @@ class Lattice:
         vectors = self.faces
         reduced = self.reduced_index(vectors)
         planes = reduced @ self._gram_reduced
-        return RayTables(
-            np.ascontiguousarray(vectors),
-            np.ascontiguousarray(planes),
-            0.5 * geometry.norms(reduced, self._gram_reduced),
-            np.ascontiguousarray(planes @ reduced.T),
-        )
+        half = 0.5 * geometry.norms(reduced, self._gram_reduced)
+        tables = vectors, planes, half, planes @ reduced.T
+        return RayTables(*(read_only(np.ascontiguousarray(table)) for table in tables))
 
     # ------------------------------------------------------------------ shells
 
@@ -388,7 +410,7 @@ class Lattice:
         """Cumulative sets of primitive vectors by length, each sorted by length, then index."""
         vectors, lengths = geometry.primitive_vectors(self._gram, self._to_reduced, 26)
         ends = [k for k in range(1, len(vectors)) if lengths[k] > lengths[k - 1] * (1 + geometry.SAME_LENGTH)]
-        return [vectors[:k] for k in [*ends, len(vectors)]]
+        return [read_only(vectors[:k].copy()) for k in [*ends, len(vectors)]]
 
     @property
     def nearest(self) -> NDArray[np.int64]:
@@ -399,7 +421,7 @@ class Lattice:
     def faces(self) -> NDArray[np.int64]:
         """Offsets (F, n) of the cells that share a face, by length, then index."""
         lengths = np.round(geometry.norms(self._relevant, self._gram), 8)
-        return self._relevant[np.lexsort((*self._relevant.T[::-1], lengths))]
+        return read_only(self._relevant[np.lexsort((*self._relevant.T[::-1], lengths))])
 
     @property
     def shell_sizes(self) -> list[int]:
@@ -464,7 +486,7 @@ class Lattice:
         # In the reduced basis, whose vectors are short: images of a sheared basis lie in no small box.
         found = geometry.point_group(self._gram_reduced, geometry.box_vectors(self.dim, 4))
         public = np.rint(self._to_public @ found @ self._to_reduced).astype(np.int64)
-        return public[np.lexsort(public.reshape(len(public), -1).T[::-1])]
+        return read_only(public[np.lexsort(public.reshape(len(public), -1).T[::-1])])
 
     # ------------------------------------------------------------------ steps between cells
 
@@ -491,9 +513,9 @@ class Lattice:
 
     def _ball_offsets(self, radius: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the offsets (K, n) of up to ``radius`` steps, lexicographically, and the steps (K,) of each."""
-        radius = operator.index(radius)
-        if radius < 0:
-            raise ArgumentError(f"a number of steps cannot be negative, as {radius} is")
+        if not isinstance(radius, (int, np.integer)) or isinstance(radius, bool) or radius < 0:
+            raise ArgumentError(f"a number of steps is a whole number of 0 or more, not {radius!r}")
+        radius = int(radius)
         reach = radius * np.abs(self.neighbours).max(axis=0)
         offsets = IndexBox.of_corners(-reach, reach).cells()
         steps = self.steps(np.zeros_like(offsets), offsets)
@@ -501,10 +523,11 @@ class Lattice:
 
     def _one_cell(self, cell: ArrayLike) -> NDArray[np.int64]:
         """Return one index (n,), if it is one."""
-        c = np.asarray(cell)
-        if c.shape != (self.dim,) or not np.issubdtype(c.dtype, np.integer):
-            raise ArgumentError(f"a cell of {self.name} is {self.dim} integers, not {cell!r}")
-        return c.astype(np.int64)
+        c = integers(cell)
+        if c is None or c.shape != (self.dim,):
+            raise ArgumentError(f"a cell of {self.name} is {self.dim} integers, not {quoted(cell)}")
+        self.check_index(c[None])
+        return c
 
     def disk(self, centre: ArrayLike, radius: int) -> IndexArray:
         """Return the cells (K, n) at most ``radius`` steps from ``centre`` (n,), lexicographically."""
@@ -550,7 +573,7 @@ def _quantiser_tables(gram: bytes, to_public: bytes, n: int) -> tuple[NDArray[np
     rank = np.empty(len(public))
     rank[np.lexsort(public.T[::-1])] = np.arange(len(public))
     constants = geometry.norms(candidates, G) + rank * 2.0**-38
-    return relevant, np.ascontiguousarray(extra, dtype=np.float64), constants
+    return read_only(relevant), read_only(np.array(extra, dtype=np.float64, order="C")), read_only(constants)
 
 
 def _ball(n: int) -> float:

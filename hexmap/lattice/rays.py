@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, TooLargeError
+from hexmap.base.values import lossless
 from hexmap.lattice.lattice import Lattice
 
 __all__ = ["RayCells", "traverse"]
@@ -54,8 +55,10 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
         BoundsError: an end is not finite or out of range.
         TooLargeError: the rays pass too many cells for one call.
     """
-    p0 = np.ascontiguousarray(starts, dtype=np.float64)
-    p1 = np.ascontiguousarray(ends, dtype=np.float64)
+    given = lossless(starts), lossless(ends)
+    if given[0] is None or given[1] is None:
+        raise ArgumentError("the ends of rays must be real numbers without a mask")
+    p0, p1 = (np.ascontiguousarray(values, dtype=np.float64) for values in given)
     if p0.shape != p1.shape or p0.ndim != 2 or p0.shape[1] != lattice.dim:
         raise ArgumentError(f"rays need two arrays of the same shape (R, {lattice.dim}), not {p0.shape} and {p1.shape}")
     if len(p0) == 0:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.text import reason
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.counter import HITS, PASSES, CellCounter
 from hexmap.maps.map import Level, Map
@@ -54,8 +55,8 @@ class MapBuilder:
         Raises:
             ArgumentError: a number is out of its range.
         """
-        if levels < 1 or levels > 16:
-            raise ArgumentError(f"a map has 1 to 16 levels, not {levels}")
+        if not isinstance(levels, (int, np.integer)) or isinstance(levels, bool) or not 1 <= levels <= 16:
+            raise ArgumentError(f"a map has 1 to 16 levels, not {levels!r}")
         if not 0.0 <= min_range < max_range:
             raise ArgumentError(f"the ranges must be 0 <= minimum < maximum, not {min_range:g} and {max_range:g}")
         if not 0.0 <= clear_no_return < float("inf"):
@@ -132,7 +133,16 @@ class MapBuilder:
             source: where the scans came from.
             finish: whether that was all: then the builder is empty afterwards, and its memory is given back level by
                 level, so that a large map is not in it twice.
+
+        Raises:
+            ArgumentError: the frame is no text, or JSON cannot say where the scans came from.
         """
+        if not isinstance(frame, str):
+            raise ArgumentError(f"the name of a frame is a text, not {frame!r}")
+        try:
+            provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"where the scans came from cannot be written as JSON: {reason(error)}") from error
         levels = []
         for k, counter in enumerate(self._counters):
             levels.append(Level(counter.to_list(HITS), counter.to_list(PASSES)))
@@ -141,5 +151,4 @@ class MapBuilder:
                 del counter
         if finish:
             self.scans = 0
-        provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
         return Map(levels, frame, provenance)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import TooLargeError
+from hexmap.base.values import read_only
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.rays import MAX_CELLS, traverse
 from hexmap.maps.voxel_list import VoxelList
@@ -204,4 +205,4 @@ class CellCounter:
         keys, counts = np.empty(m, np.int64), np.empty(m, np.int64)
         order = np.lexsort(self._arrays.corners[: self._used].T[::-1])
         kernels.sorted_cells(channel, self._arrays, order, self.lattice.dim, keys, counts)
-        return VoxelList(self.lattice, keys, counts)
+        return VoxelList(self.lattice, read_only(keys), read_only(counts))

@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, LatticeError
+from hexmap.base.values import Immutable
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
+from hexmap.maps.origin import frames_of, logs_in_words, sources_in_frame
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -64,7 +66,7 @@ class MapDiff:
     kept: VoxelList
 
 
-class Map:
+class Map(Immutable):
     """A map: levels from fine to coarse, the frame, and where it came from; immutable.
 
     Attributes:
@@ -73,14 +75,18 @@ class Map:
         provenance: sorted JSON texts, one for each log that was fused (with command and settings).
     """
 
+    levels: tuple[Level, ...]
+    frame: str
+    provenance: tuple[str, ...]
+
     def __init__(self, levels: Iterable[Level], frame: str = "map", provenance: Iterable[str] = ()) -> None:
         """Make a map of its levels.
 
         Raises:
-            ArgumentError: there is no level.
+            ArgumentError: there is no level, or the frame or the provenance is no text.
             LatticeError: the levels are not the same lattice at doubling resolutions.
         """
-        self.levels = tuple(levels)
+        object.__setattr__(self, "levels", tuple(levels))
         if not self.levels:
             raise ArgumentError("a map needs at least one level")
         for k, level in enumerate(self.levels):
@@ -88,8 +94,11 @@ class Map:
                 raise LatticeError(f"hits and passes of level {k} are on different lattices")
             if not np.allclose(level.lattice.basis, self.levels[0].lattice.basis * 2.0**k, rtol=1e-9, atol=0.0):
                 raise LatticeError(f"level {k} is not the lattice of level 0 at {2**k} times its resolution")
-        self.frame = frame
-        self.provenance = tuple(sorted(set(provenance)))
+        texts = tuple(sorted(set(provenance)))
+        if not isinstance(frame, str) or not all(isinstance(text, str) for text in texts):
+            raise ArgumentError(f"a map's frame and its provenance are texts, not {frame!r} and {texts!r}")
+        object.__setattr__(self, "frame", frame)
+        object.__setattr__(self, "provenance", texts)
 
     @property
     def lattice(self) -> Lattice:
@@ -128,15 +137,23 @@ class Map:
             VoxelList(at.lattice, keys[occupied], hits[occupied]), VoxelList(at.lattice, keys[free], passes[free])
         )
 
-    def merge(self, other: Map) -> Map:
+    def merge(self, other: Map, *, same_frame: bool = False) -> Map:
         """Return the map of both logs: counts added cell by cell; associative and commutative.
+
+        Frames of different names are different, and so are those whose sources say that they come from
+        different logs (see :mod:`hexmap.maps.origin`).
+
+        Args:
+            other: the other map.
+            same_frame: take the frames for one whatever they say; the result has this one's name.
 
         Raises:
             LatticeError: the lattices or the numbers of levels differ.
             ArgumentError: the frames differ.
+            BoundsError: a count would be more than 2^63 - 1.
         """
-        if self.frame != other.frame:
-            raise ArgumentError(f"the maps are in different frames: {self.frame!r} and {other.frame!r}")
+        if not same_frame:
+            self._check_frame(other)
         if len(self.levels) != len(other.levels):
             raise LatticeError(f"the maps have {len(self.levels)} and {len(other.levels)} levels")
         levels = [
@@ -144,6 +161,15 @@ class Map:
             for a, b in zip(self.levels, other.levels, strict=True)
         ]
         return Map(levels, self.frame, (*self.provenance, *other.provenance))
+
+    def _check_frame(self, other: Map) -> None:
+        if self.frame != other.frame:
+            raise ArgumentError(f"the maps are in different frames: {self.frame!r} and {other.frame!r}")
+        mine, theirs = frames_of(self.sources()), frames_of(other.sources())
+        if mine and theirs and not mine.keys() & theirs.keys():
+            logs = [logs_in_words(frames.values()) for frames in (mine, theirs)]
+            how = "of " + " and of ".join(logs) if logs[0] != logs[1] else f"both of {logs[0]}, posed in two ways"
+            raise ArgumentError(f"the maps are in different frames, {how}")
 
     def crop(self, low: ArrayLike, high: ArrayLike) -> Map:
         """Return the cells whose centre lies in the box from ``low`` to ``high`` (n,), metres, both included."""
@@ -162,14 +188,23 @@ class Map:
         """Return the map carried by ``pose``: each cell's counts move to the cell nearest to its moved centre.
 
         All counts are kept; positions move by up to the covering radius, as the points behind the
-        cells are no longer known. Fuse the log again where that matters.
+        cells are no longer known. Fuse the log again where that matters. The sources no longer say which
+        frame they are in, unless ``pose`` moves nothing.
+
+        Raises:
+            ArgumentError: the pose is of another dimension.
+            BoundsError: a cell would leave the range of indices.
         """
+        if pose.dim != self.lattice.dim:
+            raise ArgumentError(f"a map of dimension {self.lattice.dim} is not carried by a pose of {pose.dim}")
 
         def move(cells: VoxelList) -> VoxelList:
             moved = cells.lattice.quantise(pose.apply(cells.centres()))
             return VoxelList.from_cells(moved, cells.lattice, cells.counts)
 
-        return Map([Level(move(v.hits), move(v.passes)) for v in self.levels], frame or self.frame, self.provenance)
+        levels = [Level(move(v.hits), move(v.passes)) for v in self.levels]
+        still = pose == Pose.identity(pose.dim)
+        return Map(levels, frame or self.frame, self.provenance if still else sources_in_frame(self.sources(), ()))
 
     def diff(self, other: Map, rule: StateRule | None = None) -> MapDiff:
         """Return what changed from this map to ``other`` on the finest level.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,13 +34,20 @@ class StateRule:
 
     def __post_init__(self) -> None:
         """Check the limits."""
-        if self.min_hits < 1 or self.min_passes < 1 or not 0.0 <= self.min_ratio <= 1.0:
-            raise ArgumentError(f"not a rule for the state of a cell: {self}")
+        for name in ("min_hits", "min_passes"):
+            value = getattr(self, name)
+            if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
+                raise ArgumentError(f"{name} must be a whole number of at least 1, not {value!r}")
+        ratio = self.min_ratio
+        if not isinstance(ratio, Real) or isinstance(ratio, bool) or not 0.0 <= ratio <= 1.0:
+            raise ArgumentError(f"min_ratio must be a number from 0 to 1, not {ratio!r}")
 
     def occupied(self, hits: NDArray[np.int64], passes: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell where cells with these counts are occupied."""
         # The quotient, correctly rounded, meets a ratio written as a decimal; the product misses 7 of 25 at 0.28.
-        return np.asarray((hits >= self.min_hits) & (hits / np.maximum(hits + passes, 1) >= self.min_ratio))
+        # Both counts are below 2^63, so that their sum may need the 64th bit but no more.
+        of = np.asarray(hits).astype(np.uint64) + np.asarray(passes).astype(np.uint64)
+        return np.asarray((hits >= self.min_hits) & (hits / np.maximum(of, 1) >= self.min_ratio))
 
 
 @dataclass(frozen=True, eq=False)

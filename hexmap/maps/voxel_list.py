@@ -8,13 +8,15 @@ read and never while it is built, so the result cannot depend on the order of th
 
 from __future__ import annotations
 
+import itertools
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
+from hexmap.base.values import Immutable, integers, kept, read_only
 from hexmap.lattice.keys import KeyArray, key_delta, layout, pack, unpack
 from hexmap.lattice.lattice import Lattice
 
@@ -22,8 +24,10 @@ __all__ = ["VoxelList"]
 
 CountArray: TypeAlias = NDArray[np.int64]
 
+_MOST = 2**63 - 1  # that a count can be
 
-class VoxelList:
+
+class VoxelList(Immutable):
     """Lattice points with a count each, sorted by index; immutable.
 
     Attributes:
@@ -43,20 +47,33 @@ class VoxelList:
 
     __slots__ = ("__dict__", "counts", "keys", "lattice")
 
+    lattice: Lattice
+    keys: KeyArray
+    counts: CountArray
+
     def __init__(self, lattice: Lattice, keys: KeyArray, counts: CountArray) -> None:
-        """Wrap columns that are already sorted and unique; use the ``from_`` functions otherwise."""
-        keys = np.ascontiguousarray(keys, dtype=np.int64)[:]  # views: the caller's arrays stay writable
-        counts = np.ascontiguousarray(counts, dtype=np.int64)[:]
-        keys.setflags(write=False)
-        counts.setflags(write=False)
-        self.lattice = lattice
-        self.keys = keys
-        self.counts = counts
+        """Wrap columns that are already sorted and unique; use the ``from_`` functions otherwise.
+
+        Columns that can be written to are copied.
+
+        Raises:
+            ArgumentError: not two columns of the same length.
+        """
+        keys, counts = kept(keys, np.int64), kept(counts, np.int64)
+        if keys.ndim != 1 or keys.shape != counts.shape:
+            raise ArgumentError(f"keys and counts are two columns of the same length, not {keys.shape}, {counts.shape}")
+        object.__setattr__(self, "lattice", lattice)
+        object.__setattr__(self, "keys", keys)
+        object.__setattr__(self, "counts", counts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy through the constructor: arrays that are unpickled can be written to."""
+        return VoxelList, (self.lattice, self.keys, self.counts)
 
     @classmethod
     def empty(cls, lattice: Lattice) -> VoxelList:
         """Return the list without a point: the identity of :meth:`merge`."""
-        return cls(lattice, np.empty(0, np.int64), np.empty(0, np.int64))
+        return cls(lattice, read_only(np.empty(0, np.int64)), read_only(np.empty(0, np.int64)))
 
     @classmethod
     def from_points(cls, points: ArrayLike, lattice: Lattice) -> VoxelList:
@@ -74,7 +91,7 @@ class VoxelList:
 
         Raises:
             ArgumentError: shapes that do not fit, indices that are not integers, or a count below 1.
-            BoundsError: an index is out of range.
+            BoundsError: an index is out of range, or the counts of a cell add up to more than 2^63 - 1.
         """
         i = lattice.check_index(cls._integers(index, lattice))
         if counts is None:
@@ -82,24 +99,30 @@ class VoxelList:
         c = np.asarray(counts)
         if c.shape != (len(i),) or (c.size and not np.issubdtype(c.dtype, np.integer)) or (c.size and c.min() < 1):
             raise ArgumentError("counts must be one integer of at least 1 for each index")
-        if c.size and float(c.astype(np.float64).sum()) >= 2.0**63:
-            raise BoundsError("the counts add up to more than 2^63 - 1")
+        if c.size and int(c.max()) > _MOST:
+            raise BoundsError(f"a count is at most 2^63 - 1, not {int(c.max())}")
         keys = pack(i)
         order = np.argsort(keys, kind="stable")
         keys, c = keys[order], c[order].astype(np.int64)
         first = np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1)) if len(keys) else np.empty(0, np.int64)
-        return cls(lattice, keys[first], np.add.reduceat(c, first) if len(first) else c)
+        # Of non-negative numbers no sum wraps whose float64 is well below the limit; near it, Python's integers tell.
+        if c.astype(np.float64).sum() >= 2.0**62:
+            ends = [*first.tolist(), len(c)]
+            for a, b in itertools.pairwise(ends):
+                if (total := sum(c[a:b].tolist())) > _MOST:
+                    raise BoundsError(f"the counts of cell {i[order[a]].tolist()} add up to {total}, beyond 2^63 - 1")
+        return cls(lattice, read_only(keys[first]), read_only(np.add.reduceat(c, first) if len(first) else c))
 
     @staticmethod
     def _integers(index: ArrayLike, lattice: Lattice) -> NDArray[np.int64]:
         """Return indices (M, n) as int64, if that is what they are."""
-        raw = np.asarray(index)
-        if raw.size == 0:
-            raw = np.empty((0, lattice.dim), np.int64)
-        if raw.ndim != 2 or raw.shape[1] != lattice.dim or not np.issubdtype(raw.dtype, np.integer):
+        if np.size(index) == 0:
+            return np.empty((0, lattice.dim), np.int64)
+        found = integers(index)
+        if found is None or found.ndim != 2 or found.shape[1] != lattice.dim:
+            raw = np.asarray(index)
             raise ArgumentError(f"indices must be integers (M, {lattice.dim}), not {raw.dtype} {raw.shape}")
-        # Unsigned numbers beyond int64 would come out negative.
-        return np.minimum(raw, 2**63 - 1).astype(np.int64) if raw.dtype == np.uint64 else raw.astype(np.int64)
+        return found
 
     @classmethod
     def _from_index(cls, index: NDArray[np.int32], lattice: Lattice) -> VoxelList:
@@ -123,16 +146,14 @@ class VoxelList:
         unique, counts = np.empty(m, np.int64), np.empty(m, np.int64)
         field, offset = layout(dim)
         kernels.run_lengths(keys, low, shifts, field, offset, unique, counts)
-        return cls(lattice, unique, counts)
+        return cls(lattice, read_only(unique), read_only(counts))
 
     # ------------------------------------------------------------------ reading
 
     @cached_property
     def index(self) -> NDArray[np.int32]:
         """(M, n) int32 lattice indices, lexicographically ascending."""
-        i = unpack(self.keys, self.lattice.dim)
-        i.setflags(write=False)
-        return i
+        return read_only(unpack(self.keys, self.lattice.dim))
 
     def rows(self) -> NDArray[np.int64]:
         """Return the paper's tuples: (M, n + 1) int64, index and occupancy."""
@@ -148,8 +169,9 @@ class VoxelList:
 
     @property
     def total(self) -> int:
-        """Sum of all counts."""
-        return int(self.counts.sum())
+        """Sum of all counts, however large."""
+        high, low = self.counts >> 32, self.counts & 0xFFFFFFFF  # the sums of which cannot wrap
+        return (int(high.sum()) << 32) + int(low.sum())
 
     def find(self, index: ArrayLike) -> CountArray:
         """Return the count (K,) of each of the indices (K, n); 0 where it is not in the list."""
@@ -192,6 +214,7 @@ class VoxelList:
 
         Raises:
             LatticeError: the lists are on different lattices.
+            BoundsError: the counts of a point add up to more than 2^63 - 1.
         """
         self._check_same(other)
         if len(other) == 0:
@@ -203,15 +226,27 @@ class VoxelList:
         keys = np.empty(len(self) + len(other), np.int64)
         counts = np.empty_like(keys)
         m = kernels.merge(self.keys, self.counts, other.keys, other.counts, keys, counts)
-        return VoxelList(self.lattice, keys[:m].copy(), counts[:m].copy())
+        # Of two counts, none of them negative, a sum that wraps is.
+        if (counts[:m] < 0).any():
+            row = int(np.argmax(counts[:m] < 0))
+            cell = tuple(unpack(keys[row : row + 1], self.lattice.dim)[0].tolist())
+            raise BoundsError(f"the counts of cell {cell} add up to {int(counts[row]) + 2**64}, beyond 2^63 - 1")
+        return VoxelList(self.lattice, read_only(keys[:m].copy()), read_only(counts[:m].copy()))
 
     def at_least(self, occupancy: int) -> VoxelList:
         """Return the points with a count of at least ``occupancy``."""
         return self.select(self.counts >= occupancy)
 
     def select(self, mask: NDArray[np.bool_]) -> VoxelList:
-        """Return the points where ``mask`` (M,) is true."""
-        return VoxelList(self.lattice, self.keys[mask], self.counts[mask])
+        """Return the points where ``mask`` (M,) is true.
+
+        Raises:
+            ArgumentError: not one boolean for each point.
+        """
+        asked = np.asarray(mask)
+        if asked.shape != self.keys.shape or asked.dtype != np.bool_:
+            raise ArgumentError(f"a mask of {len(self)} points is as many booleans, not {asked.dtype} {asked.shape}")
+        return VoxelList(self.lattice, read_only(self.keys[asked]), read_only(self.counts[asked]))
 
     def count_coincident(self, other: VoxelList) -> int:
         """Return how many lattice points are in both lists: the paper's match score."""
@@ -228,13 +263,13 @@ class VoxelList:
         Raises:
             BoundsError: a point would leave the range of indices.
         """
-        v = np.asarray(vector)
-        if v.shape != (self.lattice.dim,) or not np.issubdtype(v.dtype, np.integer):
+        v = integers(vector)
+        if v is None or v.shape != (self.lattice.dim,):
             raise ArgumentError(f"a shift of {self.lattice.name} takes {self.lattice.dim} integers, not {vector!r}")
         if len(self) == 0:
             return self
         low, high = self.index.min(axis=0).astype(np.int64), self.index.max(axis=0).astype(np.int64)
-        if (np.abs(low + v) >= self.lattice.limit).any() or (np.abs(high + v) >= self.lattice.limit).any():
-            moved = tuple(int(x) for x in v)
-            raise BoundsError(f"a shift by {moved} leaves the range of indices, {self.lattice.limit}")
-        return VoxelList(self.lattice, self.keys + key_delta(v.astype(np.int64)), self.counts)
+        moved, limit = [int(x) for x in v], self.lattice.limit  # Python's integers do not wrap
+        if any(a + x <= -limit or b + x >= limit for a, b, x in zip(low.tolist(), high.tolist(), moved, strict=True)):
+            raise BoundsError(f"a shift by {tuple(moved)} leaves the range of indices, {limit}")
+        return VoxelList(self.lattice, read_only(self.keys + key_delta(v)), self.counts)

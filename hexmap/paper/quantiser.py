@@ -83,8 +83,9 @@ def quantiser_experiment(
         "transforms", moved, formats={c: ".3%" for c in moved[0] if c.startswith("sigma")},
         caption="Mean error of a ball of uniform points under random rigid transforms: it varies as sampling does.",
     )  # fmt: skip
-    report.heading("Cost")
-    report.table(
+    report.paragraph("What quantising costs is in the folder times.")
+    report.times.heading("Cost")
+    report.times.table(
         "cost", costs, formats={c: ".2f" for c in costs[0] if c != "lattice"},
         caption="Measured live on one thread, medians; the paper (Octave): 1, 5 (D3) and 10 (D3*) times.",
     )  # fmt: skip

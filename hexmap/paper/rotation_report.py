@@ -21,7 +21,7 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.paper.cases import about_axis
 from hexmap.paper.rotation_settings import RotationSettings
-from hexmap.paper.verdicts import Evidence, judge
+from hexmap.paper.verdicts import Evidence, judge, judge_cost
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -332,6 +332,8 @@ def add_verdicts(report: Report, results: RotationResults) -> None:
     )
     report.heading("Verdicts on the paper's claims")
     report.paragraph(
-        "Each by the rule in its row, computed from these points; costs were measured live, on one thread."
+        "Each by the rule in its row, computed from these points. What is decided by times is in the folder times."
     )
     report.verdicts(judge(evidence))
+    report.times.paragraph("Costs were measured live, on one thread, medians; they differ from run to run.")
+    report.times.verdicts(judge_cost(evidence))

@@ -64,6 +64,9 @@ class RotationSettings:
         base = "Z2" if dim == 2 else "Z3"
         names = self.lattices or (("Z2", "A2") if dim == 2 else ("Z3", "D3", "D3*", "A2xZ"))
         made = [Lattice.named(name, self.resolution) for name in names]
+        twice = next((v.name for k, v in enumerate(made) if v in made[:k]), None)
+        if twice is not None:
+            raise ArgumentError(f"the lattice {twice} is named twice")
         made = [Lattice.named(base, self.resolution), *(v for v in made if v.name != base)]
         for k, basis in enumerate(self.own):
             own = Lattice(np.array(basis), "own" if len(self.own) == 1 else f"own {k + 1}")

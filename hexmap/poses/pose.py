@@ -200,7 +200,8 @@ class Pose:
 
     def __hash__(self) -> int:
         """Hash the numbers."""
-        return hash((self.rotation.tobytes(), self.translation.tobytes()))
+        # A zero may have a sign, which equality does not see.
+        return hash(((self.rotation + 0.0).tobytes(), (self.translation + 0.0).tobytes()))
 
     def __repr__(self) -> str:
         """Show the numbers that make the pose."""

@@ -8,31 +8,35 @@ stand, because the order in the file, not the time stamp, is the order of events
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.text import quoted
+from hexmap.base.values import kept, lossless, remade
 from hexmap.poses.pose import Pose
 
 __all__ = ["Event", "Odometry", "Scan"]
 
 
 def _rows(values: object, what: str) -> NDArray[np.float64]:
-    a = np.ascontiguousarray(values, dtype=np.float64)[:]  # a view: the caller's array stays writable
+    a = lossless(values)
+    if a is None:
+        raise ArgumentError(f"the {what} of a scan must be real numbers without a mask, not {quoted(values)}")
     if a.ndim != 2 or a.shape[1] not in (2, 3):
         raise ArgumentError(f"the {what} of a scan must be (N, 2) or (N, 3), not {a.shape}")
-    a.setflags(write=False)
-    return a
+    return kept(a, np.float64)
 
 
 def _one_each(values: object, what: str, n: int) -> NDArray[np.float64]:
-    a = np.ascontiguousarray(values, dtype=np.float64)[:]
+    a = lossless(values)
+    if a is None:
+        raise ArgumentError(f"the {what} of a scan must be real numbers without a mask, not {quoted(values)}")
     if a.shape != (n,):
         raise ArgumentError(f"the {what} of a scan of {n} points must be ({n},), not {a.shape}")
-    a.setflags(write=False)
-    return a
+    return kept(a, np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,10 @@ class Scan:
         for name in ("times", "intensity"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _one_each(getattr(self, name), name, len(points)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy through the constructor: arrays that are unpickled can be written to."""
+        return remade(self)
 
     @property
     def dim(self) -> int:

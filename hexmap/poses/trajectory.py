@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray, frozen
 from hexmap.base.errors import ArgumentError, TrajectoryError
+from hexmap.base.values import remade
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import quaternions_to_rotations
 
@@ -193,6 +194,10 @@ class Relations:
         shapes = (self.from_stamps.shape, self.to_stamps.shape, self.translations.shape, self.rotations.shape)
         if shapes != ((n,), (n,), (n, 3), (n, 3, 3)):
             raise ArgumentError(f"relations take arrays of shape (N,), (N,), (N, 3) and (N, 3, 3), not {shapes}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy through the constructor: arrays that are unpickled can be written to."""
+        return remade(self)
 
     def __len__(self) -> int:
         """Return the number of relations."""

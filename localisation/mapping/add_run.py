@@ -15,6 +15,7 @@ from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
 from hexmap.io.logs.log import Log
 from hexmap.maps.map import Map
+from hexmap.maps.origin import frames_of, sources_in_frame
 from localisation.mapping.align import Alignment, AlignSettings, align_maps
 from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.loop_closed_map import MappedRun, Phase, fuse_run, map_run
@@ -88,8 +89,8 @@ def add_run(
     found = align_maps(map, alone.map, align, rules=(settings.rule, settings.rule))
     held = _hold(map, run, settings, planar.of_pose(found.pose))
     result = fuse_run(held, settings, on_pose=on_pose, phase=phase)
-    moved = Map(result.map.levels, map.frame, result.map.provenance)
-    return replace(result, map=map.merge(moved)), found
+    moved = Map(result.map.levels, map.frame, sources_in_frame(result.map.sources(), frames_of(map.sources())))
+    return replace(result, map=map.merge(moved, same_frame=True)), found
 
 
 def _hold(map: Map, run: MappedRun, settings: MappingSettings, T_map_run: FloatArray) -> MappedRun:

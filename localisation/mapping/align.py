@@ -8,9 +8,9 @@ counts.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from hexmap.base.errors import AlignmentError, ArgumentError
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.window import box_coordinates
 from hexmap.maps.map import Map
+from hexmap.maps.origin import frames_of, sources_in_frame
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -29,7 +30,7 @@ from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion, shifts_in_ball
 
-__all__ = ["AlignSettings", "Alignment", "align_maps", "merge_aligned", "pose_words"]
+__all__ = ["AlignSettings", "Alignment", "align_maps", "merge_aligned", "moved_into", "pose_words"]
 
 _COARSEST = 64.0  # times the cells of the finest level
 
@@ -183,20 +184,26 @@ def merge_aligned(a: Map, b: Map, alignment: Alignment) -> Map:
 
     Raises:
         LatticeError: the lattices or the numbers of levels differ.
+        BoundsError: a count would be more than 2^63 - 1.
     """
-    moved = b.transform(alignment.pose, a.frame)
-    texts = []
-    for source in moved.sources():
-        pose, before = alignment.pose, source.get("moved")
+    return a.merge(moved_into(a, b, alignment.pose), same_frame=True)
+
+
+def moved_into(a: Map, b: Map, T_a_b: Pose) -> Map:
+    """Return map b in the frame of map a; its sources say how they were moved."""
+
+    def how(source: dict[str, Any]) -> dict[str, list[float]]:
+        pose, before = T_a_b, source.get("moved")
         if isinstance(before, dict):
             t, q = before["translation"], before["quaternion"]
             planar = pose.dim == 2
             pose = pose @ (
                 Pose.planar(t[0], t[1], 2.0 * math.atan2(q[2], q[3])) if planar else Pose.from_quaternion(t, q)
             )
-        how = {"translation": pose.translation.tolist(), "quaternion": pose.quaternion().tolist()}
-        texts.append(json.dumps({**source, "moved": how}, sort_keys=True))
-    return a.merge(Map(moved.levels, moved.frame, texts))
+        return {"translation": pose.translation.tolist(), "quaternion": pose.quaternion().tolist()}
+
+    moved = b.transform(T_a_b, a.frame)
+    return Map(moved.levels, moved.frame, sources_in_frame(moved.sources(), frames_of(a.sources()), how))
 
 
 def pose_words(pose: Pose) -> str:

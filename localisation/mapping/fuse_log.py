@@ -63,7 +63,7 @@ def fuse_log(
         )
     scans = builder.scans
     return MappingResult(
-        map=builder.build(source=provenance(log, settings, "given"), finish=True),
+        map=builder.build(source=provenance(log, settings, "given", poses), finish=True),
         scans=scans,
         odometry=log.odometry,
         matched=0,

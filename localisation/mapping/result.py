@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import platform
 from collections.abc import Callable, Iterable
@@ -11,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.errors import LogError
+from hexmap.io.fingerprint import fingerprint
 from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.io.logs.log import Log
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
+from hexmap.poses.trajectory import Trajectory
 from localisation.lidar_settings import LidarSettings
 from localisation.odometry.motion import FARTHEST_JUMP
 from localisation.settings import MappingSettings
@@ -113,13 +116,23 @@ def jump_warnings(log: Log, count: int) -> list[str]:
     ]
 
 
-def provenance(log: Log | LidarLog, settings: MappingSettings | LidarSettings, result: str) -> dict[str, Any]:
-    """Return what the map file says of where the map came from."""
+def provenance(
+    log: Log | LidarLog, settings: MappingSettings | LidarSettings, result: str, poses: Trajectory | None = None
+) -> dict[str, Any]:
+    """Return what the map file says of where the map came from (see :mod:`hexmap.maps.origin`).
+
+    Args:
+        log: that was mapped.
+        settings: with which.
+        result: how its poses were found.
+        poses: those that were given: logs that are mapped at the same poses are in the same frame.
+    """
     import numba
 
     from hexmap.base.version import __version__
 
     return {
+        **_identity(log, settings, result, poses),
         "log": log.path.name,
         "format": log.format,
         "poses": result,
@@ -131,6 +144,25 @@ def provenance(log: Log | LidarLog, settings: MappingSettings | LidarSettings, r
             "python": platform.python_version(),
         },
     }
+
+
+def _identity(
+    log: Log | LidarLog, settings: MappingSettings | LidarSettings, result: str, poses: Trajectory | None
+) -> dict[str, str]:
+    """Return the identities of the log and of the frame of its map, as far as they are known."""
+    checksum = fingerprint(log.path)
+    found: dict[str, str] = {}
+    if checksum is not None:
+        # The scans of two lasers of one log are two logs, in one frame.
+        chosen = settings.to_dict()["log"]
+        names = "laser", "scan_topic", "topic", "frame"
+        which = [str(chosen[name]) for name in names if chosen.get(name) not in (None, "front")]
+        found["log_id"] = ":".join([checksum, *which])
+        found["frame"] = f"{checksum}:{result}"
+    if poses is not None:
+        arrays = poses.stamps, poses.positions, poses.quaternions
+        found["frame"] = hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()[:32]
+    return found
 
 
 Progress = Callable[[int], None]

@@ -31,6 +31,7 @@ __all__ = ["LocalMatcher"]
 
 # Points times rotations of one search.
 _MOST_POINTS = 1 << 25
+_FAR = 1e150  # metres, the square of which is still a number
 # Lengths that differ by less than this fraction are the same: on A2 rounding tells equivalent shifts apart by 1e-16.
 _SAME_LENGTH = 1e-9
 
@@ -127,7 +128,7 @@ class LocalMatcher:
             raise ArgumentError(f"the map is of dimension {n}, the scan {p.shape}, the pose of {predicted.dim}")
         if len(p) == 0:
             return None
-        if not np.isfinite(p).all():
+        if not np.abs(p).max() < _FAR:
             lattice.quantise(p)  # raises, naming the row
         window = window or self.window
         turns = self.rotations(p, lattice, window.radians)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
-from planners.path import Path, cells_to_flat, make_path, measure, not_connected
+from planners.path import Path, cells_to_flat, clearances, make_path, measure, not_connected
 from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def any_angle(
     least = None
     if clearance is not None:
         along = [touched_cells(graph, a, b) for a, b in itertools.pairwise(turning_cells)]
-        least = float(np.asarray(clearance).reshape(-1)[np.concatenate(along)].min())
+        least = float(clearances(graph, clearance)[np.concatenate(along)].min())
     bound = max(length / float(np.linalg.norm(points[-1] - points[0])), 1.0)
     return Path(
         cells, points, length, length, turning, least,

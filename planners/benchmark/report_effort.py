@@ -31,9 +31,10 @@ def report_measures(report: Report, groups: list[ResultGroup], interval: Interva
     """Report what paths and searches are like besides their length, by cell size, grid and planner."""
     report.heading("Turning, clearance, effort")
     for dim, fraction in compared_sizes(groups):
-        rows = []
+        rows, times = [], []
         for x in [y for y in groups if y.dim == dim and y.fraction == fraction]:
             v = x.values
+            times.append({"grid": x.grid.label, "planner": x.planner, "ms": interval(v["seconds"])})
             rows.append(
                 {
                     "grid": x.grid.label,
@@ -45,14 +46,13 @@ def report_measures(report: Report, groups: list[ResultGroup], interval: Interva
                     "expansions": interval(v["expansions"]),
                     "pushes": interval(v["pushes"]),
                     "scanned": interval(v["scanned"]),
-                    "ms": interval(v["seconds"]),
                     "graph, MB": x.megabytes,
                     "bytes a free cell": x.bytes_a_cell,
                 }
             )
         formats = {
             "turning, degrees": ".0f", "least clearance": ".3f", "mean clearance": ".2f", "expansions": ".0f",
-            "pushes": ".0f", "scanned": ".0f", "ms": ".3f", "graph, MB": ".1f", "bytes a free cell": ".2f",
+            "pushes": ".0f", "scanned": ".0f", "graph, MB": ".1f", "bytes a free cell": ".2f",
         }  # fmt: skip
         report.table(
             f"effort_{dim}d_{fraction}", rows, formats=formats,
@@ -60,10 +60,16 @@ def report_measures(report: Report, groups: list[ResultGroup], interval: Interva
             "source cell) to the nearest blocked source cell, in source cells. Planners other than A* and "
             "any-angle ran at the first angle only: compare rows of as many angles.",
         )  # fmt: skip
+        report.times.table(
+            f"ms_{dim}d_{fraction}", times, formats={"ms": ".3f"},
+            caption=f"Milliseconds a query, edge 1/{fraction}, in the mean.",
+        )  # fmt: skip
 
 
 def report_times(report: Report, results: Results, groups: list[ResultGroup], interval: IntervalOf) -> None:
     """Report milliseconds a query on cells of the source's own size, by map, grid and planner."""
+    report.paragraph("What the searches took is in the folder times.")
+    report = report.times
     report.heading("Time on cells of the source's own size")
     report.paragraph(f"All times of this report were taken on {_machine()}; kept cases bring the times they took.")
     for dim in sorted({x.dim for x in groups}):

@@ -27,6 +27,8 @@ __all__ = ["DStarLite"]
 _MOST_KM = 2**60  # after which the keys are made anew
 _QUEUE_FACTOR, _QUEUE_SLACK = 4, 1 << 16  # how far the queue grows before entries out of date are removed
 _FIRST_QUEUE = 1024  # entries that fit at first
+# Units to the cheapest move. Rounding to them is at most as large a part of a path's cost.
+_FINE = 2.0**24
 
 
 class DStarLite:
@@ -66,6 +68,11 @@ class DStarLite:
         self._least = float(terrain.min()) if len(terrain) else 1.0
         self._most = float(terrain.max()) if len(terrain) else 1.0
         self._costs = whole_costs(self._graph, self._least, self._most)
+
+    @property
+    def tells_apart(self) -> bool:
+        """Whether the unit of cost is fine enough to order paths as A* does: a small part of the cheapest move."""
+        return float(self._costs.scaled.min()) * self._least >= _FINE
 
     def measures(self, values: NDArray[np.float64]) -> bool:
         """Tell whether multipliers of cost lie in the range that the unit of cost was fixed for."""

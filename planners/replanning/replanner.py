@@ -45,7 +45,8 @@ class Replanner:
     what remains of it is shortest, and nothing else is done.
 
     With terrain, costs are rounded to 2^-36 of the cheapest move (coarser where the sum over all
-    cells would not fit into 61 bits), and paths that differ by less are not told apart.
+    cells would not fit into 61 bits), and paths that differ by less are not told apart. Where terrain
+    spans so much that this is no small part of the cheapest move, every answer is A*'s.
 
     Examples:
         >>> import numpy as np
@@ -211,6 +212,9 @@ class Replanner:
             if not self._free[flat]:
                 raise NoPath(f"{role} blocked", f"cell {self._name(flat)}")
         begin = time.perf_counter()
+        if not self._tree.tells_apart:  # terrain of so wide a range: whole numbers would take one path for another
+            self._anew, self._route = True, None
+            return self._answer_of_astar(_Work(begin, 1, True))
         touched, priced = self._changes()
         if self._holds(touched):
             if self._shut_in == self._start:

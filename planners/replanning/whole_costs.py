@@ -74,7 +74,7 @@ def _whole_planes(moves: IntArray, steps: list[int], planes: NDArray[np.float64]
         planes: (F, n) the facets in floats, in any unit of cost for which moves on a facet meet it.
     """
     n = moves.shape[1]
-    costs = np.array(steps, dtype=np.float64)
+    costs = np.maximum(np.array(steps, dtype=np.float64), 1.0)  # of a unit that is too coarse some are 0
     found: list[list[Fraction]] = []
     for plane in planes:
         products = moves @ plane

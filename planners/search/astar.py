@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from numbers import Real
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -125,7 +126,7 @@ def _check(
     nearest: bool,
 ) -> None:
     """Raise ArgumentError for what :func:`astar` does not take."""
-    if not 1.0 <= weight <= _MOST_WEIGHT:
+    if not isinstance(weight, Real) or not 1.0 <= weight <= _MOST_WEIGHT:
         raise ArgumentError(f"the weight of the heuristic must be a number from 1 to {_MOST_WEIGHT:g}, not {weight!r}")
     if heuristic not in (None, "none"):
         raise ArgumentError(f"heuristic must be None (derived from the moves) or 'none', not {heuristic!r}")
@@ -348,7 +349,7 @@ def _goals(graph: LatticeGraph, goal: ArrayLike) -> NDArray[np.int64]:
     """Return the flat goals; of a set those that are free and in the map."""
     cells = np.asarray(goal)
     if cells.ndim != 2 or len(cells) < 2:
-        return cells_to_flat(graph, cells, "goal")
+        return cells_to_flat(graph, goal, "goal")
     kept = []
     first: NoPath | None = None
     for cell in cells:

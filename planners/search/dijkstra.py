@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import integers
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.heuristics import least_terrain
 
@@ -24,6 +25,8 @@ __all__ = ["DistanceField", "dijkstra"]
 # A bucket's width over the cheapest move. A little less than one: rounding must not let a move end
 # in the bucket that it began in.
 _WIDTH = 1.0 - 1e-9
+# A path's cost has no rounding error, the sums of the search have some: a cell at the limit itself is within it.
+_ROUNDING = 1e-12
 # Buckets at a time; where terrain differs more than that they are wider, and some cells expanded twice.
 _MOST_BUCKETS = 1 << 16
 
@@ -93,13 +96,13 @@ class DistanceField:
         Raises:
             ArgumentError: not integer indices (M, n).
         """
-        index = np.asarray(cells)
+        index = integers(cells)
         n = self.graph.lattice.dim
-        if index.ndim != 2 or index.shape[1] != n or index.dtype.kind not in "iu":
-            raise ArgumentError(f"cells must be integer indices (M, {n}), not {index.dtype} {index.shape}")
-        position = index.astype(np.int64) - self.graph.low
-        inside = ((position >= 0) & (position < self.graph.shape)).all(axis=1)
-        flat = np.where(inside, position @ self.graph.strides, 0)
+        if index is None or index.ndim != 2 or index.shape[1] != n:
+            raise ArgumentError(f"cells must be integer indices (M, {n}), not {np.shape(cells)}")
+        flat = self.graph.index_to_flat(index)
+        inside = flat >= 0
+        flat = np.where(inside, flat, 0)
         if self.steps is not None:  # without the whole field of distances
             steps = self.steps[flat]
             found = np.where(steps < 0, np.inf, steps * float(self.graph.lengths[0]))
@@ -155,7 +158,7 @@ def dijkstra(
         graph: where to go.
         sources: a cell's index (n,), or many (M, n).
         goals: a cell's index (n,), or many (M, n): the search stops when it has all of them.
-        limit: greatest cost that is looked for, metres.
+        limit: greatest cost that is looked for, metres, to 1e-12 of itself.
 
     Raises:
         NoPath: a source or a goal is blocked or outside the map.
@@ -179,7 +182,7 @@ def dijkstra(
         queue = np.empty(graph.size + 1, np.int32 if graph.size < 2**31 - 1 else np.int64)
         queue[: len(start)] = start
         state[start] = 0
-        rounds = min(most / float(graph.lengths[0]) * (1.0 + 1e-12), 2.0**31 - 2)
+        rounds = min(most / float(graph.lengths[0]) * (1.0 + _ROUNDING), 2.0**31 - 2)
         settled = pushes = kernels.wavefront(
             state, graph.offsets, queue, steps, len(start), wanted, np.int32(math.floor(rounds))
         )
@@ -192,7 +195,7 @@ def dijkstra(
             graph_arrays(graph),
             start,
             wanted,
-            most,
+            most * (1.0 + _ROUNDING),
             1.0 / width,
             int(dearest / width) + 3,
             distance,

@@ -37,10 +37,10 @@ def call(*arguments: object) -> int:
     return main([str(a) for a in arguments])
 
 
-def failure(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run a command that must fail with exit code 1 and one line on standard error; return the line."""
+def failure(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 1) -> str:
+    """Run a command that must fail with an exit code and one line on standard error; return the line."""
     capsys.readouterr()
-    assert call(*arguments) == 1
+    assert call(*arguments) == code, arguments
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and err.startswith("hexmap: ") and "Traceback" not in err
     return err
@@ -55,7 +55,7 @@ def test_the_whole_way_from_a_log_to_everything(folder: Path, capsys: pytest.Cap
         assert call("export", m, "-o", folder / name) == 0
         assert (folder / name).exists()
     assert (folder / "a.pgm").exists()
-    assert call("merge", m, m, "-o", folder / "twice.parquet") == 0
+    assert call("merge", m, m, "--again", "-o", folder / "twice.parquet") == 0
     once, twice = load_map(m), load_map(folder / "twice.parquet")
     assert twice.levels[0].hits.total == 2 * once.levels[0].hits.total
     capsys.readouterr()
@@ -131,8 +131,10 @@ def test_bad_input_is_one_line_and_loses_nothing(
         (("evaluate", folder / "t.tum"), "--relations"),
         (("evaluate", good, "--reference", folder / "room.tum"), "room.parquet"),
     ]
+    # Wrong values of options are wrong usage, whichever layer refuses them.
+    wrong = {"planar", "hexagone", "-1", "0", "bmp", "maximum", "7", "gif", "obj", "two", "office", "--relations"}
     for arguments, word in cases:
-        assert word in failure(capsys, *arguments), arguments
+        assert word in failure(capsys, *arguments, code=2 if word in wrong else 1), arguments
         assert out.read_bytes() == b"an old map"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.clf", "bad.json", "empty.clf", "out.parquet", "typo.json"]
 
@@ -227,7 +229,7 @@ def test_what_a_reviewer_broke_stays_mended(folder: Path, tmp_path: Path, capsys
     space = tmp_path / "space.tum"
     space.write_text("0.0 0 0 1.5 0 0 0 1\n")
     assert "space.tum" in failure(capsys, "build", log, "-o", out, "--poses", space)
-    assert "1 to 16" in failure(capsys, "build", log, "-o", out, "--levels", 0)
+    assert "1 to 16" in failure(capsys, "build", log, "-o", out, "--levels", 0, code=2)
     assert call() == 2
     assert capsys.readouterr().err.count("\n") > 5  # the help, readable
 
@@ -254,8 +256,11 @@ def test_a_damaged_odometry_value_or_range_costs_little(
         low, high = load_map(tmp_path / "m.parquet").bounds()
         # with --no-return inf the laser's 81.83 m are points, too
         assert (high - low).max() < (200.0 if part == 30 else 20.0)
-    text = failure(capsys, "build", tmp_path / "a.clf", "-o", tmp_path / "n.parquet", "--resolution", "1e-5")
-    assert "no scan can be used, line" in text and "coarser" in text
+    capsys.readouterr()
+    assert call("build", tmp_path / "a.clf", "-o", tmp_path / "n.parquet", "--resolution", "1e-5") == 1
+    warning, text, end = capsys.readouterr().err.split("\n")
+    assert warning.startswith("warning: cells of 1e-05 m are finer than a laser measures")
+    assert "no scan can be used, line" in text and "coarser" in text and not end
 
 
 def test_a_reader_that_leaves_is_no_error(folder: Path) -> None:

@@ -79,7 +79,7 @@ def test_wrong_use_is_said_before_the_work(folder: Path, capsys: pytest.CaptureF
     assert "no folder" in failure(capsys, 1, "localise", world, log, "-o", folder / "none" / "p.tum")
     assert "overwrite" in failure(capsys, 1, "localise", world, log, "-o", log)
     assert "--lattice" in failure(capsys, 1, "localise", world, log, "-o", poses, "--lattice", "Z2")
-    assert "cannot draw" in failure(capsys, 1, "localise", world, log, "-o", poses, "--picture", folder / "a.gif")
+    assert "cannot draw" in failure(capsys, 2, "localise", world, log, "-o", poses, "--picture", folder / "a.gif")
     for option, *values, what in (
         ("--time-limit", "-1", "time limit"), ("--time-limit", "nan", "time limit"),
         ("--search-metres", "-1", "search"),

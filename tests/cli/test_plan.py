@@ -87,7 +87,8 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
     table = read_path(csv)
     lattice = Lattice.named("A2", 0.1)
     assert np.array_equal(lattice.quantise(np.array([[-1.5, -0.5], [1.5, -0.5]])), table.cells[[0, -1]])
-    assert np.array_equal(lattice.centres(table.cells), table.points)
+    assert table.points[[0, -1]].tolist() == [[-1.5, -0.5], [1.5, -0.5]]
+    assert np.array_equal(lattice.centres(table.cells)[1:-1], table.points[1:-1])
     assert table.length[0] == 0.0 and f"length {table.length[-1]:.3f} m" in out[1]
     assert table.points[:, 1].max() > 0.4  # through the door
     assert png.stat().st_size > 10_000
@@ -99,7 +100,8 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
         assert csv.read_bytes() == first
     for more in (["--planner", "dijkstra"], ["--planner", "canonical"], ["--bidirectional"], ["--weight", 1.0]):
         assert call(*arguments, "-o", csv, *more) == 0
-        assert read_path(csv).length[-1] == pytest.approx(length, rel=1e-9)
+        # Of equally long ways between the cells each planner takes its own, and the end pieces differ.
+        assert read_path(csv).length[-1] == pytest.approx(length, abs=0.1)
     for more in (["--planner", "any-angle"], ["--shortcut"], ["--neighbourhood", "extended"], ["--neighbourhood", 12]):
         assert call(*arguments, "-o", csv, *more) == 0
         assert read_path(csv).length[-1] < length
@@ -403,8 +405,8 @@ def test_bad_input_is_one_line_and_loses_nothing(
         ((tmp_path / "no.parquet", *way), "no.parquet"),
         ((bad, *way), "bad.map"),
         ((folder / "rooms.pgm", *way), "yaml"),
-        ((own, *way, "--lattice", "Z2"), "leave out --lattice"),
-        ((own, *way, "--resolution", 0.1, "--cell", 1), "leave out --resolution and --cell"),
+        ((own, *way, "--lattice", "D3"), "dimension 2"),
+        ((own, *way, "--resolution", 0.1, "--cell", 1), "leave out --cell"),
         ((game, *way, "--level", 1), "leave out --level"),
         ((own, *way, "--level", 7), "7"),
         ((game, *way, "--lattice", "D3"), "dimension 2"),
@@ -439,7 +441,9 @@ def test_bad_input_is_one_line_and_loses_nothing(
     ]
     for arguments, word in cases:
         given = arguments if "-o" in arguments else (*arguments, "-o", out)
-        assert word in failure(capsys, "plan", *given), arguments
+        wrong = word.startswith("--") and "from" not in word and "--to" not in word
+        wrong = wrong or word in ("7", "hexagone", ".txt", "bmp")
+        assert word in failure(capsys, "plan", *given, code=2 if wrong else 1), arguments
         assert out.read_bytes() == b"an old path"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.map", "path.csv"]
 

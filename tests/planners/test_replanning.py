@@ -494,6 +494,19 @@ def test_terrain_of_freed_cells_and_beyond_the_range_so_far() -> None:
     assert graph.terrain is not None and graph.terrain.max() == 2.0
 
 
+@pytest.mark.parametrize("span", [1e10, 1e14, 1e17])
+def test_terrain_of_any_span_costs_what_planning_anew_costs(span: float) -> None:
+    rng = np.random.default_rng(2)
+    values = span ** rng.uniform(0.0, 1.0, (12, 12))
+    graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((12, 12), np.uint8)).with_terrain(values)
+    robot = Replanner(graph, [0, 0], [11, 11])
+    for _ in range(12):
+        at = rng.integers(0, 12, (3, 2))
+        robot.set_terrain(at, span ** rng.uniform(0.0, 1.0, 3))
+        now = robot.graph
+        assert robot.path().cost == pytest.approx(astar(now, [0, 0], [11, 11]).cost, rel=1e-7)
+
+
 def test_what_makes_no_sense_is_an_error_and_changes_nothing() -> None:
     graph = LatticeGraph.from_states(Lattice.named("Z2"), [5, 5], np.ones((3, 3), np.uint8))
     robot = Replanner(graph, [5, 5], [7, 7])

@@ -11,7 +11,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
-from hexmap.cli.plan.map_source import PlanningMap, foreign_map, inputs_of, own_map
+from hexmap.cli.plan.map_source import PlanningMap, foreign_map, found, inputs_of, own_map
 from hexmap.cli.plan.query import (
     Planner,
     Query,
@@ -88,13 +88,14 @@ def plan(
         ),
     ] = None,
     lattice: Annotated[
-        str | None, typer.Option(help=f"Lattice of foreign maps: {', '.join(_LATTICES)}.", show_default="A2 or D3")
+        str | None,
+        typer.Option(help=f"Lattice: {', '.join(_LATTICES)}.", show_default="A2 or D3; of hexmap's maps their own"),
     ] = None,
     resolution: Annotated[
         float | None,
         typer.Option(
             help="Resolution of that lattice, m. At the size of the source's own cells paths leak through thin walls.",
-            show_default="half the source's cell in the plane, the source's cell in space",
+            show_default="half the source's cell in the plane, the source's cell in space; of hexmap's maps their own",
         ),
     ] = None,
     cell: Annotated[float | None, typer.Option(help="Size of a game map's cells, m.", show_default="1")] = None,
@@ -105,12 +106,13 @@ def plan(
 ) -> None:
     """Look for the cheapest path between two positions in a map.
 
-    The path leads from cell centre to cell centre, from the cell of --from to that of --to.
+    The path begins in --from and ends in --to; between them it leads from cell centre to cell centre.
     """
     from hexmap.base.errors import ArgumentError
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map
 
+    map = found(map)
     query = Query(
         start, goal, planner, weight, bidirectional, shortcut, nearest,
         radius, clearance_weight, clearance_reach, unknown, neighbourhood,
@@ -130,7 +132,7 @@ def plan(
     _check_kind(
         map,
         own,
-        {"--lattice": lattice, "--resolution": resolution, "--cell": cell},
+        {"--cell": cell},
         {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio, "--crop": crop},
     )
     first_run_note()
@@ -138,17 +140,20 @@ def plan(
     if own:
         loaded = cropped(load_map(map), crop, map)
         rule = rule_of(min_hits, min_ratio, loaded.sources())
-        planning_map = own_map(map, loaded, query, level or 0, rule)
+        planning_map = own_map(map, loaded, query, level or 0, rule, lattice, resolution)
     else:
         planning_map = foreign_map(map, query, lattice, resolution, cell)
     graph = _with_clearance(planning_map.graph, query)
     seconds = time.perf_counter() - begin
     compiling_note(*kernels_of(graph, query))
     path = find_path(planning_map, graph, query)
+    from planners.between_points import between_points
+
     if shortcut:
         from planners import shortcut as straighten
 
         path = straighten(graph, path)
+    path = between_points(graph, path, query.start, query.goal)
     inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
     say(
         f"{map}: {graph.lattice.title} lattice at {graph.lattice.resolution:g} m{planning_map.source}, "
@@ -206,6 +211,8 @@ def _draw(
 
 def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
     """Say what was found and what that took."""
+    import numpy as np
+
     from hexmap.graph.queries import least_clearance, share_of_line
     from hexmap.maps.cell_state import CellState
 
@@ -217,11 +224,12 @@ def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
         else f"least clearance {clearance:.2f} m from occupied cells"
     )
     straight = query.shortcut or query.planner is Planner.any_angle
+    met = 1 + int(np.diff(path.cells, axis=0).any(axis=1).sum())
     cost = f"{path.cost:.3f}" if path.cost < 1e6 else f"{path.cost:g}"
     say(
         f"{query.planner.value} from {in_metres(query.start)} to {in_metres(query.goal)}: "
         f"length {path.length:.3f} m, cost {cost}, turning {math.degrees(path.turning):.0f} deg, {room}, "
-        f"{counted(len(path), 'point' if straight else 'cell')}"
+        f"{counted(len(path), 'point') if straight else counted(met, 'cell')}"
     )
     if not path.goal_reached:
         say(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hexmap.cli.plan.query import Query
+from hexmap.cli.plan.query import Query, Unknown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,25 +64,56 @@ class PlanningMap:
     y_down: bool = False
 
 
-def own_map(path: Path, loaded: Map, query: Query, level: int, rule: StateRule) -> PlanningMap:
-    """Return a level of a map of hexmap, which was read from ``path``."""
+def found(path: Path) -> Path:
+    """Return a map's path, or its packed form (.gz) where only that is there."""
+    packed = path.with_name(path.name + ".gz")
+    return packed if not path.exists() and packed.exists() else path
+
+
+def own_map(
+    path: Path,
+    loaded: Map,
+    query: Query,
+    level: int,
+    rule: StateRule,
+    lattice: str | None = None,
+    resolution: float | None = None,
+) -> PlanningMap:
+    """Return a level of a map of hexmap read from ``path``, on its own lattice or by the centres of another's cells."""
     import numpy as np
 
+    from hexmap.base.errors import ArgumentError
     from hexmap.graph.lattice_graph import LatticeGraph
+    from hexmap.lattice.lattice import Lattice
+    from hexmap.maps.cell_state import CellState
 
     _check_dimensions(path, query, loaded.lattice.dim)
-    _check_window(path, loaded, level)
-    graph = LatticeGraph.from_map(
-        loaded, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
-    )
     states = loaded.state(rule, level)
+    own = states.occupied.lattice
     centres = np.concatenate([states.occupied.centres(), states.free.centres()])
+    if len(centres) == 0:
+        raise ArgumentError(f"{path}: level {level} of the map has no cell that is free or occupied")
+    low, high = centres.min(axis=0) - own.covering_radius, centres.max(axis=0) + own.covering_radius
 
     def state_at(points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        return states.of(graph.lattice.quantise(points))
+        return states.of(own.quantise(points))
 
-    room = graph.lattice.covering_radius
-    return PlanningMap(path, graph, state_at, centres.min(axis=0) - room, centres.max(axis=0) + room)
+    if lattice is None and resolution is None:
+        _check_window(path, loaded, level)
+        graph = LatticeGraph.from_map(
+            loaded, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
+        )
+        return PlanningMap(path, graph, state_at, low, high)
+    on = Lattice.named(lattice or own.name, resolution or own.resolution)
+    if on.dim != own.dim:
+        raise ArgumentError(f"{path}: the map is of dimension {own.dim}, the lattice {on.name} of {on.dim}")
+    _check_size(path, on, low, high)
+    passable = (CellState.FREE, CellState.UNKNOWN) if query.unknown is Unknown.free else (CellState.FREE,)
+    graph = LatticeGraph.rasterise(
+        lambda points: np.isin(state_at(points), passable), on, low, high, neighbourhood=query.neighbourhood,
+        occupied_at=lambda points: state_at(points) == CellState.OCCUPIED,
+    )  # fmt: skip
+    return PlanningMap(path, graph, state_at, low, high, f" on {own.title} cells of {own.resolution:g} m")
 
 
 def foreign_map(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -205,7 +206,7 @@ def mesh_of_cells(cells: VoxelList, *, hidden: bool = True) -> Mesh:
 
 
 def _corners(
-    cells: VoxelList, exposed: NDArray[np.bool_], rings: list[NDArray[np.int64]]
+    cells: VoxelList, exposed: NDArray[np.bool_], rings: Sequence[NDArray[np.int64]]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Return the row (M, V) of each corner of each cell, -1 where it is not used, and their positions (K, 3)."""
     corners = CellCorners(cells.lattice)

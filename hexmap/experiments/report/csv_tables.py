@@ -15,7 +15,7 @@ from hexmap.experiments.statistics import Interval
 def _csv(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([clean(name) for name in header])
+    writer.writerow([_text(name) for name in header])
     writer.writerows([[_csv_cell(cell) for cell in row] for row in rows])
     return buffer.getvalue().encode()
 
@@ -26,7 +26,17 @@ def _csv_cell(cell: Any) -> str:
     if isinstance(cell, bool):
         return "true" if cell else "false"
     # repr of a float is the shortest text that gives the same float again.
-    return repr(cell) if is_number(cell) else clean(cell)
+    return repr(cell) if is_number(cell) else _text(cell)
+
+
+def _text(value: Any) -> str:
+    """Return text of a cell: what a spreadsheet would run as a formula, such as a file's name may be, gets a quote.
+
+    After a sign only a call or a link does anything: "- no list" stays as it is.
+    """
+    text = clean(value)
+    runs = text.startswith(("=", "@", "\t", "\r")) or (text.startswith(("+", "-")) and any(c in text for c in "(|!"))
+    return "'" + text if runs else text
 
 
 def csv_table(table: Table) -> bytes:

@@ -17,6 +17,7 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
 
 __all__ = ["COLOURS", "Format", "Outcome", "Report", "Verdict", "figure_style", "format_interval", "format_number"]
 
+_LIST = "hexmap-report-files"
+_KINDS = (".csv", ".png", ".pdf")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
@@ -66,6 +69,17 @@ class Report:
         self._elements: list[Element] = []
         self._names: set[str] = set()
         self._anchors: set[str] = set()
+        self._times: Report | None = None
+
+    @property
+    def times(self) -> Report:
+        """The report of wall-clock figures, which are never the same twice: written into the folder ``times``.
+
+        What is put into it is in no other file, so that all others are the same bits for the same input.
+        """
+        if self._times is None:
+            self._times = Report(f"{self.title}: times", self.command, self.settings)
+        return self._times
 
     def heading(self, text: str, level: int = 2) -> None:
         """Add a heading; level 2 is a section, 3 and 4 are below it.
@@ -152,11 +166,11 @@ class Report:
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the report into a folder, which is made if it does not exist.
 
-        Every file is the old one or the whole new one; the pages come last, so that they never lack what they
-        show.
+        All files are whole before the first takes its name, and the pages come last, so that they never lack what
+        they show. Files of an earlier report that this one does not have are removed: its page lists them.
 
         Returns:
-            ``report.html``, ``report.md``, and then the tables and figures in their order.
+            ``report.html``, ``report.md``, then the tables and figures in their order, and those of the times.
 
         Raises:
             FileAccessError: a file or the folder cannot be written.
@@ -168,11 +182,20 @@ class Report:
             raise FileAccessError(f"{target}: cannot be written: {error.strerror or error}") from error
         files = _files(self._elements)
         content = (self.title, self.command, self.settings, self._elements)
-        pages = {"report.html": html(*content).encode(), "report.md": markdown(*content).encode()}
-        for name, data in (*files.items(), *pages.items()):
-            with atomic_write(target / name) as handle:
+        listed = f'<meta name="{_LIST}" content="{" ".join(files)}">'
+        page = html(*content).replace("</head>", f"{listed}</head>", 1)
+        pages = {"report.html": page.encode(), "report.md": markdown(*content).encode()}
+        before = _files_of_before(target)
+        with ExitStack() as stack:
+            # The last one opened takes its name first.
+            for name, data in reversed([*files.items(), *pages.items()]):
+                handle = stack.enter_context(atomic_write(target / name))
                 handle.write(data)
-        return [target / name for name in (*pages, *files)]
+        for name in before - files.keys() - pages.keys():
+            with suppress(OSError):
+                (target / name).unlink()
+        written = [target / name for name in (*pages, *files)]
+        return written if self._times is None else written + self._times.write(target / "times")
 
     def _count(self, kinds: type | UnionType) -> int:
         return sum(isinstance(element, kinds) for element in self._elements)
@@ -196,6 +219,17 @@ class Report:
                 raise ArgumentError(f"the report already has a file {name}.{suffix}")
             self._names.add(file)
         return name
+
+
+def _files_of_before(folder: Path) -> set[str]:
+    """Return the files of the report that is in a folder already; none but those that a report may have written."""
+    try:
+        head = (folder / "report.html").read_bytes().partition(b"</head>")[0].decode()
+    except (OSError, ValueError):
+        return set()
+    found = re.search(f'<meta name="{_LIST}" content="([^"]*)">', head)
+    names = found[1].split() if found else []
+    return {name for name in names if _NAME.fullmatch(name) and name.endswith(_KINDS)}
 
 
 def _as_shown(

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
+from hexmap.base.values import kept, remade
 from hexmap.io.read_file import inflation_limit
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
@@ -82,8 +83,7 @@ class GridMap:
         if int(states.max()) > max(CellState):
             known = ", ".join(f"{state:d} ({state.name.lower()})" for state in CellState)
             raise ArgumentError(f"the state of a cell is one of {known}, not {int(states.max())}")
-        if states.flags.writeable or not states.flags.c_contiguous:
-            states = np.array(states, order="C")
+        states = kept(states, np.uint8)
         try:
             cell, yaw = float(self.cell), float(self.yaw)
             origin = np.array(self.origin, dtype=np.float64)
@@ -97,10 +97,13 @@ class GridMap:
             raise ArgumentError(f"the origin of a grid is {states.ndim} finite numbers, not {self.origin!r}")
         if not math.isfinite(yaw):
             raise ArgumentError(f"the yaw of a grid must be a finite number of radians, not {self.yaw!r}")
-        for array in (states, origin):
-            array.setflags(write=False)
+        origin.setflags(write=False)
         for name, value in (("states", states), ("cell", cell), ("origin", origin), ("yaw", yaw)):
             object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy through the constructor: arrays that are unpickled can be written to."""
+        return remade(self)
 
     @property
     def dim(self) -> int:
