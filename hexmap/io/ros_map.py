@@ -56,13 +56,12 @@ def export_ros(map: Map, path: PathLike, level: int = 0, rule: StateRule | None 
         "mode: trinary",
     ]
     # Both are whole before either takes its name, and the YAML file comes last: where it is, its image is too.
-    with ExitStack() as last:
-        with atomic_write(image_path) as handle:
-            handle.write(b"P5\n%d %d\n255\n" % (image.shape[1], image.shape[0]))
-            handle.write(np.ascontiguousarray(image[::-1]).data)
-            text = last.enter_context(atomic_write(path, "w"))
-            text.write("\n".join(lines) + "\n")
-            text.flush()
+    with ExitStack() as last, atomic_write(image_path) as handle:
+        handle.write(b"P5\n%d %d\n255\n" % (image.shape[1], image.shape[0]))
+        handle.write(np.ascontiguousarray(image[::-1]).data)
+        text = last.enter_context(atomic_write(path, "w"))
+        text.write("\n".join(lines) + "\n")
+        text.flush()
     return [path, image_path]
 
 
