@@ -229,6 +229,13 @@ def test_clearances_without_the_padding_are_those_of_their_cells(case: Case) -> 
     assert astar(graph, [1] * n, [1] * n, clearance=inner).clearance == 7.0
 
 
+def test_a_weight_is_a_number() -> None:
+    graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((3, 3), np.uint8))
+    for weight in ("2", None, 1j, float("nan")):
+        with pytest.raises(ArgumentError, match="weight"):
+            astar(graph, [0, 0], [2, 2], weight=weight)  # type: ignore[arg-type]
+
+
 def test_the_cell_at_the_limit_itself_is_found() -> None:
     rng = np.random.default_rng(5)
     squares = Lattice.named("Z2", 0.1)

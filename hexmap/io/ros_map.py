@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -112,11 +113,12 @@ def _write(path: Path, resolution: float, origin: tuple[float, float], image: ND
         "mode: trinary",
     ]
     # Both are whole before either takes its name, and the YAML file comes last: where it is, its image is too.
-    with atomic_write(path, "w") as text, atomic_write(image_path) as handle:
-        text.write("\n".join(lines) + "\n")
-        text.flush()
+    with ExitStack() as last, atomic_write(image_path) as handle:
         handle.write(b"P5\n%d %d\n255\n" % (image.shape[1], image.shape[0]))
         handle.write(np.ascontiguousarray(image[::-1]).data)
+        text = last.enter_context(atomic_write(path, "w"))
+        text.write("\n".join(lines) + "\n")
+        text.flush()
     return [path, image_path]
 
 

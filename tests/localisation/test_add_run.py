@@ -130,7 +130,7 @@ def test_the_command_line_continues_a_map_and_maps_several_logs(
     assert Path(both).read_bytes() == Path(two).read_bytes()
     assert len(load_map(both).sources()) == 2
     for wrong in (["--poses", str(office[0].parent / "truth.tum")], ["--no-loop-closure"]):
-        assert main(["build", second, "-o", str(tmp_path / "x.parquet"), "--continue", one, *wrong]) in (1, 2)
+        assert main(["build", second, "-o", str(tmp_path / "x.parquet"), "--continue", one, *wrong]) == 2
         assert "--continue" in capsys.readouterr().err
     assert main(["build", second, second, "-o", str(tmp_path / "x.parquet")]) == 1
     assert "twice" in capsys.readouterr().err

@@ -174,3 +174,23 @@ def test_raw_odometry_of_intel_scores_as_documented(data_dir: Path) -> None:
     assert (score.used, score.skipped) == (2984, 0)
     assert score.translation.mean == pytest.approx(7.383, abs=5e-4)
     assert score.rotation_deg.mean == pytest.approx(39.48, abs=5e-3)
+
+
+def test_the_order_of_lines_does_not_matter_by_time() -> None:
+    rng = np.random.default_rng(0)
+    stamps = np.arange(60) * 0.5
+    poses = [Pose.planar(0.3 * k, 0.01 * k * k, 0.02 * k) for k in range(60)]
+    noisy = [Pose.planar(*rng.normal(0.0, 0.05, 2), rng.normal(0.0, 0.02)) @ pose for pose in poses]
+    truth = Trajectory.from_poses(stamps, poses)
+    for estimate in (
+        Trajectory.from_poses(stamps, noisy),
+        Trajectory.from_poses(stamps[::2] + 0.01, noisy[::2]),
+        Trajectory.from_poses(np.repeat(stamps, 2) + np.tile([0.0, 0.02], 60), [p for p in noisy for _ in range(2)]),
+    ):
+        shuffled = estimate[rng.permutation(len(estimate))]
+        mixed = truth[rng.permutation(len(truth))]
+        for unit in ("poses", "metres"):
+            expected = relative_error(truth, estimate, 1, unit)  # type: ignore[arg-type]
+            assert relative_error(truth, shuffled, 1, unit) == expected  # type: ignore[arg-type]
+            assert relative_error(mixed, shuffled, 1, unit) == expected  # type: ignore[arg-type]
+        assert absolute_error(mixed, shuffled).translation == absolute_error(truth, estimate).translation

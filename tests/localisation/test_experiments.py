@@ -402,14 +402,14 @@ def call(capsys: pytest.CaptureFixture[str], code: int, *arguments: object) -> s
 
 def test_an_error_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, out = folder / "a.clf", tmp_path / "out"
-    assert "no lattice is called 'hexagon2'" in call(capsys, 1, log, "-o", out, "--lattices", "Z2,hexagon2")
-    assert "lattice of space" in call(capsys, 1, log, "-o", out, "--lattices", "Z2,D3")
-    assert "--resolutions takes numbers" in call(capsys, 1, log, "-o", out, "--resolutions", "0.1,fine")
+    assert "no lattice is called 'hexagon2'" in call(capsys, 2, log, "-o", out, "--lattices", "Z2,hexagon2")
+    assert "lattice of space" in call(capsys, 2, log, "-o", out, "--lattices", "Z2,D3")
+    assert "--resolutions takes numbers" in call(capsys, 2, log, "-o", out, "--resolutions", "0.1,fine")
     assert "no such file" in call(capsys, 1, tmp_path / "none.clf", "-o", out)
     few = tmp_path / "few.clf"
     few.write_text("".join(itertools.islice((line for line in log.open() if line.startswith("FLASER")), 9)))
     assert "9 scans are too few" in call(capsys, 1, few, "-o", out)
-    assert "--test-poses needs" in call(capsys, 1, log, "-o", out, "--test-poses", folder / "b.tum")
+    assert "--test-poses needs" in call(capsys, 2, log, "-o", out, "--test-poses", folder / "b.tum")
     assert "none.tum" in call(capsys, 1, log, "-o", out, "--poses", tmp_path / "none.tum")
 
 
