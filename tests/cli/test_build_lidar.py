@@ -137,7 +137,7 @@ def test_options_of_a_planar_laser_are_refused(
     options: tuple[object, ...],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    err = failure(capsys, 1, run / "run", "-o", tmp_path / "m.parquet", *options)
+    err = failure(capsys, 2, run / "run", "-o", tmp_path / "m.parquet", *options)
     option = "--odometry" if options[0] == "--no-odometry" else options[0]
     assert f"is the log of a LiDAR, and {option} is for that of a planar laser" in err
     assert list(tmp_path.iterdir()) == []
@@ -149,7 +149,7 @@ def test_options_of_a_lidar_are_refused_for_a_planar_log(
 ) -> None:
     log = tmp_path / "a.clf"
     log.write_text("FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 1.0 host 1.0\n")
-    err = failure(capsys, 1, log, "-o", tmp_path / "m.parquet", *options)
+    err = failure(capsys, 2, log, "-o", tmp_path / "m.parquet", *options)
     assert "is the log of a planar laser, and" in err and "is for that of a LiDAR" in err
     assert not (tmp_path / "m.parquet").exists()
 
@@ -157,16 +157,16 @@ def test_options_of_a_lidar_are_refused_for_a_planar_log(
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (("--lattice", "A2"), 1, "cannot be mapped on A2, a lattice of the plane; take D3"),
-        (("--lattice", "E8"), 1, "E8"),
-        (("--resolution", 0), 1, "resolution"),
-        (("--levels", 0), 1, "a map has 1 to 16 levels, not 0"),
-        (("--min-range", 5, "--max-range", 2), 1, "minimum < maximum, not 5 and 2"),
+        (("--lattice", "A2"), 2, "cannot be mapped on A2, a lattice of the plane; take D3"),
+        (("--lattice", "E8"), 2, "E8"),
+        (("--resolution", 0), 2, "resolution"),
+        (("--levels", 0), 2, "a map has 1 to 16 levels, not 0"),
+        (("--min-range", 5, "--max-range", 2), 2, "minimum < maximum, not 5 and 2"),
         (("--scan-topic", "/none"), 1, "no sensor_msgs/PointCloud2 on topic /none; topics are /points"),
         (("--scan-frame", "none"), 1, "another frame"),
-        (("--no-loop-closure", "--loops", "l.csv"), 1, "--loops says what closing loops found"),
+        (("--no-loop-closure", "--loops", "l.csv"), 2, "--loops says what closing loops found"),
         (("--poses", "absent.tum"), 1, "absent.tum"),
-        (("--picture", "m.docx"), 1, "m.docx"),
+        (("--picture", "m.docx"), 2, "m.docx"),
         (("--bogus",), 2, "--bogus"),
     ],
 )
@@ -180,7 +180,7 @@ def test_wrong_values_are_one_line(
 
 
 def test_several_lidar_logs_are_for_merge(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    err = failure(capsys, 1, run / "run", run / "scans", "-o", tmp_path / "m.parquet")
+    err = failure(capsys, 2, run / "run", run / "scans", "-o", tmp_path / "m.parquet")
     assert "one log of a LiDAR makes a map, not 2; hexmap merge puts maps together" in err
 
 
