@@ -101,7 +101,8 @@ def show(
     of_points = {
         "--format": format is not None, "--units": units != "m", "--axes": axes != "xyz",
         "--columns": columns is not None, "--offset": offset != "auto", "--min-range": min_range != 0.0,
-        "--max-range": max_range is not None, "--crop": crop is not None, "--unique": unique, "--sample": sample is not None, "--seed": seed != 0,
+        "--max-range": max_range is not None, "--crop": crop is not None, "--unique": unique,
+        "--sample": sample is not None, "--seed": seed != 0,
     }  # fmt: skip
     of_maps = {"--level": level != 0, "--min-hits": min_hits is not None, "--min-ratio": min_ratio is not None}
     own, foreign = is_parquet(source), is_grid(source)
