@@ -20,10 +20,12 @@ from planners.search.sparse_arrays import sparse_zeros
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
     from planners.any_angle._kernels import View
+    from planners.any_angle._theta_kernels import Query
 
 __all__ = ["any_angle", "line_of_sight"]
 
 _KEY_STEPS = 2.0**32  # keys of the queue a shortest move
+_FIRST_QUEUE = 1024  # entries that fit at first
 _ROUNDS = 20  # of making a path taut; three or four are the rule
 _WINDOW = 8  # turning cells that a straight line may leave out, plus one
 _TOUCH = 2e-9  # of the cell's width: the tolerance of hexmap.graph.swept_cells
@@ -211,21 +213,49 @@ def search_path(
 ) -> tuple[IntArray, Effort]:
     """Return the flat turning cells (M,) from ``source`` to ``target``, none without a path, and what it took."""
     from planners.any_angle import _kernels as kernels
+    from planners.any_angle import _theta_kernels as theta
 
     view = make_view(graph)
-    steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
-    moves = kernels.Moves(graph.offsets, graph.lengths, steps, graph.swept_starts, graph.swept)
-    # Pages that a short search does not touch cost nothing.
-    tree = kernels.Tree(*(sparse_zeros(graph.size, kind) for kind in (np.float64, np.int32, np.uint8)))
     counts = np.zeros(len(Effort._fields), np.int64)
     scale = _KEY_STEPS / float(graph.lengths.min())
     path = np.empty(0, np.int64)
-    if kernels.search(view, graph.free, moves, source, target, scale, lazy, tree, counts):
-        path = kernels.follow(tree.parent, target)
+    glance = bool(np.isin(graph.lattice.faces @ graph.strides, graph.offsets).all())
+    query = theta.Query(source, target, scale, 1.0, lazy, glance, 2**62)
+    tree = _search(graph, view, query, counts)
+    if tree is not None:
+        path = theta.follow(tree, target)
         if tighten:
             near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
             path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
     return path, Effort(*counts.tolist())
+
+
+def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> NDArray[np.void] | None:
+    """Return the tree (size,) that a search has written, None where there is no path."""
+    from planners.any_angle import _kernels as kernels
+    from planners.any_angle import _theta_kernels as theta
+
+    steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
+    shifts = np.ascontiguousarray(graph.moves, dtype=np.int64)
+    moves = theta.Moves(graph.offsets, graph.lengths, steps, shifts, graph.swept_starts, graph.swept)
+    # Pages that a short search does not touch cost nothing.
+    tree = sparse_zeros(graph.size, theta.TREE)
+    queue = theta.Queue(
+        np.empty(_FIRST_QUEUE), np.empty(_FIRST_QUEUE), np.empty(_FIRST_QUEUE, np.int64), np.zeros(1, np.int64)
+    )
+    distances = np.empty(0, np.uint8)
+    theta.begin(view, query, tree, queue, counts)
+    while True:
+        status = theta.search(view, graph.free, distances, moves, query, tree, queue, counts)
+        if status == theta.QUEUE_FULL:
+            longer = (np.concatenate([array, np.empty_like(array)]) for array in queue[:3])
+            queue = theta.Queue(*longer, queue.count)
+        elif status == theta.BLOCKS_WANTED:
+            distances = kernels.block_distances(view, graph.free)
+        elif status == theta.FOUND:
+            return tree
+        else:
+            return None
 
 
 def touched_cells(graph: LatticeGraph, a: int, b: int) -> IntArray:
