@@ -65,6 +65,7 @@ TREE = np.dtype(
         ("high", np.float64),  # the greatest
         ("parent", np.int32),  # the flat cell from which a straight line leads to it
         ("refused", np.int32),  # the last cell that was found not to see it, plus one
+        ("blocker", np.int32),  # a blocked cell, plus one, that hides it from that, where one is known
         ("mark", np.uint8),  # the bits SEEN, SURE, DONE, EXPANDED and WEDGE; zero before a search
     ],
     align=True,
@@ -114,9 +115,9 @@ def begin(view, query, tree, queue, counts):
     """Enter the start of a search."""
     segment = empty_segment(view.strides.shape[0])
     start = query.start
-    tree[start].g = 0.0
-    tree[start].parent = start
-    tree[start].mark = SEEN | SURE
+    tree[start]["g"] = 0.0
+    tree[start]["parent"] = start
+    tree[start]["mark"] = SEEN | SURE
     away = span(view.strides, view.basis, start, query.goal, segment.at, segment.v)
     queue.key[0] = np.floor(query.weight * away * query.scale + 0.5)
     queue.cost[0] = 0.0
@@ -133,7 +134,7 @@ def weigh(view, query, tree, queue):
     for i in range(queue.count[0]):
         a = queue.node[i]
         entered = queue.cost[i]
-        if entered != tree[a].g or (tree[a].mark & DONE) != 0:
+        if entered != tree[a]["g"] or (tree[a]["mark"] & DONE) != 0:
             continue
         away = span(view.strides, view.basis, a, query.goal, segment.at, segment.v)
         f = np.floor((entered + query.weight * away) * query.scale + 0.5)
@@ -209,7 +210,7 @@ def search(view, free, distances, moves, query, tree, queue, counts):
         entered = cost[0]
         count = drop_top(key, cost, node, count)
         # Cells are entered again where they are reached anew; only the entry with the present g counts.
-        if entered != tree[a].g or (tree[a].mark & DONE) != 0:
+        if entered != tree[a]["g"] or (tree[a]["mark"] & DONE) != 0:
             continue
 
         # Exact, as half a cell is far more than the error of a product below 2^31; a division takes longer.
@@ -219,9 +220,9 @@ def search(view, free, distances, moves, query, tree, queue, counts):
             rest -= here[i] * strides[i]
         # Before a cell is expanded its parent must see it (SetVertex of the paper). With another parent g may have
         # grown; then the cell waits for its turn in the queue.
-        p = np.int64(tree[a].parent)
-        if (tree[a].mark & SURE) == 0:
-            tree[a].mark |= SURE
+        p = np.int64(tree[a]["parent"])
+        if (tree[a]["mark"] & SURE) == 0:
+            tree[a]["mark"] |= SURE
             seen = False
             if n == 2:
                 if p != known:
@@ -237,26 +238,28 @@ def search(view, free, distances, moves, query, tree, queue, counts):
                 counts[LINES] += 1
                 seen = looked > 0
             # From the far end: the parent has seen a neighbour, so that what hides this cell is near to it.
-            if not seen and not sees(view, cells, a, p, segment, counts):
-                tree[a].refused = p + 1
-                tree[a].g = _find_parent(view, cells, moves, tree, a, segment, tried, counts)
-                p = np.int64(tree[a].parent)
+            if not seen and np.int64(tree[a]["refused"]) != p + 1 and not sees(view, cells, a, p, segment, counts):
+                tree[a]["refused"] = p + 1
+                tree[a]["blocker"] = 0
+            if not seen and np.int64(tree[a]["refused"]) == p + 1:
+                tree[a]["g"] = _find_parent(view, cells, moves, tree, a, segment, tried, counts)
+                p = np.int64(tree[a]["parent"])
                 away = span(strides, basis, a, goal, segment.at, segment.v)
-                f = np.floor((tree[a].g + weight * away) * scale + 0.5)
+                f = np.floor((tree[a]["g"] + weight * away) * scale + 0.5)
                 if count > 0 and f > key[0]:
-                    rise(key, cost, node, count, f, tree[a].g, a)
+                    rise(key, cost, node, count, f, tree[a]["g"], a)
                     count += 1
                     pushes += 1
                     continue
-        tree[a].mark |= DONE | EXPANDED
+        tree[a]["mark"] |= DONE | EXPANDED
         expansions += 1
         if a == goal:
             status = FOUND
             break
         # No path can be shorter than one by a straight line from the cell of the least f.
         if glance and (expansions & GLANCE) == 1 and sees(view, cells, a, goal, segment, counts):
-            tree[goal].parent = a
-            tree[goal].g = tree[a].g + span(strides, basis, a, goal, segment.at, segment.v)
+            tree[goal]["parent"] = a
+            tree[goal]["g"] = tree[a]["g"] + span(strides, basis, a, goal, segment.at, segment.v)
             status = FOUND
             break
 
@@ -273,13 +276,13 @@ def search(view, free, distances, moves, query, tree, queue, counts):
             for i in range(n):
                 behind[r] += basis[r, i] * (here[i] - there[i])
                 ahead[r] += basis[r, i] * (last[i] - here[i])
-        before, so_far = tree[p].g, tree[a].g
+        before, so_far = tree[p]["g"], tree[a]["g"]
         for k in range(offsets.shape[0]):
             b = a + offsets[k]
             if free[b] == 0 or b == p:
                 continue
-            old = tree[b].mark
-            if old != 0 and np.int64(tree[b].parent) == p:
+            old = tree[b]["mark"]
+            if old != 0 and np.int64(tree[b]["parent"]) == p:
                 continue  # by the same line, and with a g that an entry has
             # Path 2 of the paper: straight from the parent, as if it saw b.
             total = 0.0
@@ -287,7 +290,7 @@ def search(view, free, distances, moves, query, tree, queue, counts):
                 x = behind[r] + steps[k, r]
                 total += x * x
             reached = before + np.sqrt(total)
-            if old != 0 and reached >= tree[b].g * BETTER:
+            if old != 0 and reached >= tree[b]["g"] * BETTER:
                 continue
             shut = False
             for i in range(swept_starts[k], swept_starts[k + 1]):
@@ -298,21 +301,33 @@ def search(view, free, distances, moves, query, tree, queue, counts):
                 continue
             parent_b = p
             if lazy and (old & SURE) == 0:
-                tree[b].mark = SEEN
+                tree[b]["mark"] = SEEN
             else:
                 # A g that a line is known to give is never replaced by one that is only hoped for.
-                blocked = np.int64(tree[b].refused) == p + 1
-                if not blocked and not sees(view, cells, b, p, segment, counts):
-                    tree[b].refused = p + 1
+                blocked = np.int64(tree[b]["refused"]) == p + 1
+                wedge = np.uint8(0)
+                if n == 2 and not blocked:
+                    v[0] = here[0] + shifts[k, 0] - there[0]
+                    v[1] = here[1] + shifts[k, 1] - there[1]
+                    looked = sees_by_wedge(
+                        free, strides, shape, generators, gram, reach, touch, there, v, b, p, offsets, shifts, tree
+                    )
+                    counts[SCANNED] += abs(looked)
+                    counts[LINES] += 1
+                    wedge = WEDGE if looked > 0 else wedge
+                blocked = np.int64(tree[b]["refused"]) == p + 1
+                if not blocked and wedge == 0 and not sees(view, cells, b, p, segment, counts):
+                    tree[b]["refused"] = p + 1
+                    tree[b]["blocker"] = 0
                     blocked = True
                 if blocked:
                     parent_b = a  # path 1: by the move
                     reached = so_far + lengths[k]
-                    if old != 0 and reached >= tree[b].g * BETTER:
+                    if old != 0 and reached >= tree[b]["g"] * BETTER:
                         continue
-                tree[b].mark = SEEN | SURE | (old & EXPANDED)
-            tree[b].g = reached
-            tree[b].parent = parent_b
+                tree[b]["mark"] = SEEN | SURE | wedge | (old & EXPANDED)
+            tree[b]["g"] = reached
+            tree[b]["parent"] = parent_b
             total = 0.0
             for r in range(n):
                 x = ahead[r] - steps[k, r]
@@ -334,27 +349,27 @@ def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
     ``a``. ``tried`` (K + 1,) is scratch.
     """
     strides, basis = view.strides, view.basis
-    offsets, lengths, _, _, swept_starts, swept = moves
+    offsets, lengths, _, shifts, swept_starts, swept = moves
     at, v, _ = segment
-    before = np.int64(tree[a].parent)
-    tree[a].mark &= ~WEDGE
+    before = np.int64(tree[a]["parent"])
+    tree[a]["mark"] &= ~WEDGE
     best = np.inf
     # The neighbour from which a was reached has been expanded and may move here: one is always found.
     for k in range(offsets.shape[0]):
         b = a - offsets[k]
-        if (tree[b].mark & EXPANDED) == 0 or tree[b].g + lengths[k] >= best:
+        if (tree[b]["mark"] & EXPANDED) == 0 or tree[b]["g"] + lengths[k] >= best:
             continue
         if may_move(cells.free, b, k, offsets, swept_starts, swept):
-            best = tree[b].g + lengths[k]
-            tree[a].parent = b
+            best = tree[b]["g"] + lengths[k]
+            tree[a]["parent"] = b
     # Neighbours share parents, and a look is dear: each parent is tried once, and only if it would be better.
     tried[0] = before
     many = 1
     for k in range(offsets.shape[0]):
         b = a - offsets[k]
-        if (tree[b].mark & EXPANDED) == 0:
+        if (tree[b]["mark"] & EXPANDED) == 0:
             continue
-        p = np.int64(tree[b].parent)
+        p = np.int64(tree[b]["parent"])
         known = False
         for i in range(many):
             known = known or tried[i] == p
@@ -362,14 +377,27 @@ def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
             continue
         tried[many] = p
         many += 1
-        reached = tree[p].g + span(strides, basis, p, a, at, v)
+        reached = tree[p]["g"] + span(strides, basis, p, a, at, v)
         if reached >= best * BETTER:
             continue
-        if sees(view, cells, a, p, segment, counts):
+        wide = np.int64(0)
+        if strides.shape[0] == 2:
+            wide = sees_by_wedge(
+                cells.free, strides, view.shape, view.generators, view.gram, view.reach, view.touch, at, v, a, p,
+                offsets, shifts, tree,
+            )  # fmt: skip
+            counts[SCANNED] += abs(wide)
+            counts[LINES] += 1
+        if wide <= 0 and np.int64(tree[a]["refused"]) == p + 1:
+            continue
+        if wide > 0 or sees(view, cells, a, p, segment, counts):
             best = reached
-            tree[a].parent = p
+            tree[a]["parent"] = p
+            if wide <= 0:
+                tree[a]["mark"] &= ~WEDGE
         else:
-            tree[a].refused = p + 1
+            tree[a]["refused"] = p + 1
+            tree[a]["blocker"] = 0
     return best
 
 
@@ -379,8 +407,8 @@ def follow(tree, at):
     out = np.empty(64, np.int64)
     out[0] = at
     count = 1
-    while tree[at].parent != at:
-        at = np.int64(tree[at].parent)
+    while tree[at]["parent"] != at:
+        at = np.int64(tree[at]["parent"])
         if count == out.shape[0]:
             out = np.append(out, np.empty(count, np.int64))
         out[count] = at

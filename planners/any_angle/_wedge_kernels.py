@@ -51,7 +51,8 @@ def sees_by_wedge(free, strides, shape, generators, gram, reach, touch, at, v, a
         tree: (size,) of :data:`planners.any_angle._theta_kernels.TREE`.
 
     Returns:
-        the number of cells looked at and one more; negative where only a look along the line tells.
+        the number of cells looked at and one more; negative where ``p`` does not see ``a``, noted in ``tree`` as
+            refused, or where only a look along the line tells.
     """
     major = 0 if abs(v[0]) >= abs(v[1]) else 1
     inner = 1 - major
@@ -64,56 +65,80 @@ def sees_by_wedge(free, strides, shape, generators, gram, reach, touch, at, v, a
     above = np.int64(0)
     lo = 0.0
     hi = 0.0
+    hint = np.int64(-1)
     for m in range(offsets.shape[0]):
         c = a - offsets[m]
-        if (tree[c].mark & WEDGE) != 0 and np.int64(tree[c].parent) == p and best < _ENOUGH:
+        if np.int64(tree[c]["refused"]) == p + 1 and tree[c]["blocker"] > 0:
+            hint = np.int64(tree[c]["blocker"]) - 1
+        if (tree[c]["mark"] & WEDGE) != 0 and np.int64(tree[c]["parent"]) == p and best < _ENOUGH:
             layer = step * (v[major] - shifts[m, major])
             beside = abs(v[inner] - shifts[m, inner])
             # Else its wedge is one across the other index.
             alike = layer > 0 and (beside < layer or (beside == layer and major == 0))
-            sides = min(slope - tree[c].low, tree[c].high - slope) * depth
+            sides = min(slope - tree[c]["low"], tree[c]["high"] - slope) * depth
             if alike and sides >= 0.0 and sides > best:
                 best = sides
                 above = layer
-                lo = tree[c].low
-                hi = tree[c].high
-    # With a wedge only the layers that it has not been down to, without one all of them, those near the cell first.
+                lo = tree[c]["low"]
+                hi = tree[c]["high"]
+    # With a wedge only the layers that it has not been down to, without one, and where that fails, all of them, those
+    # near the cell first. Not in functions of their own: at each call Numba would count the references of their arrays.
     looked = np.int64(1)
-    inherits = best >= 0.0
-    direction = 1 if inherits else -1
-    layer = above + margin + 1 if inherits else depth + margin
-    end = depth + margin + 1 if inherits else np.int64(0)
-    if not inherits:
-        lo = slope - BESIDE / depth
-        hi = slope + BESIDE / depth
     r = 0.0
-    # Not in functions of their own: at each call Numba would count the references of their arrays.
-    while layer != end and lo <= slope <= hi:
-        if inherits:
-            lo = max(lo, slope - BESIDE / layer)
-            hi = min(hi, slope + BESIDE / layer)
-        if inherits or r == 0.0:
+    inherits = best >= 0.0
+    trying = True
+    blocker = np.int64(-1)
+    # Exactly what the line itself touches, less the tolerance: what is nearer is certain to hide the cell.
+    surely = _half_width(generators, step * slope, major, inner, 0.0)
+    while trying:
+        direction = 1 if inherits else -1
+        layer = above + margin + 1 if inherits else depth + margin
+        end = depth + margin + 1 if inherits else np.int64(0)
+        if not inherits:
+            if hint >= 0:
+                # What hides a neighbour is likely to hide this cell.
+                row = hint // strides[0]
+                k = (hint - row * strides[0] if inner == 1 else row) - at[inner]
+                layer_of = ((row if major == 0 else hint - row * strides[0]) - at[major]) * step
+                if margin < layer_of < depth - margin and abs(k - layer_of * slope) <= surely:
+                    blocker = hint
+                    lo, hi = 1.0, -1.0
+                    break
+            lo = slope - BESIDE / depth
+            hi = slope + BESIDE / depth
             r = max(
                 _half_width(generators, step * lo, major, inner, touch),
                 _half_width(generators, step * hi, major, inner, touch),
             )
-        row = at[major] + step * layer
-        if row < 0 or row >= shape[major]:
-            lo, hi = 1.0, -1.0
-        else:
-            base = row * strides[major]
-            # Beyond the window's padding, which is blocked, there is nothing to look at.
-            first = max(at[inner] + np.int64(np.ceil(layer * lo - r)), 0)
-            last = min(at[inner] + np.int64(np.floor(layer * hi + r)), shape[inner] - 1)
-            looked += last - first + 1
-            for k in range(first, last + 1):
-                if free[base + k * strides[inner]] == 0:
-                    q = k - at[inner]
-                    if q > layer * slope:
-                        hi = min(hi, (q - r) / layer - _CLEAR)
-                        break
-                    lo = max(lo, (q + r) / layer + _CLEAR)
-        layer += direction
+        while (end - layer) * direction > 0 and lo <= slope <= hi:
+            if inherits:
+                lo = max(lo, slope - BESIDE / layer)
+                hi = min(hi, slope + BESIDE / layer)
+                r = max(
+                    _half_width(generators, step * lo, major, inner, touch),
+                    _half_width(generators, step * hi, major, inner, touch),
+                )
+            row = at[major] + step * layer
+            if row < 0 or row >= shape[major]:
+                lo, hi = 1.0, -1.0
+            else:
+                base = row * strides[major]
+                # Beyond the window's padding, which is blocked, there is nothing to look at.
+                first = max(at[inner] + np.int64(np.ceil(layer * lo - r)), 0)
+                last = min(at[inner] + np.int64(np.floor(layer * hi + r)), shape[inner] - 1)
+                looked += last - first + 1
+                for k in range(first, last + 1):
+                    if free[base + k * strides[inner]] == 0:
+                        q = k - at[inner]
+                        if margin < layer < depth - margin and abs(q - layer * slope) <= surely:
+                            blocker = base + k * strides[inner]
+                        if q > layer * slope:
+                            hi = min(hi, (q - r) / layer - _CLEAR)
+                            break
+                        lo = max(lo, (q + r) / layer + _CLEAR)
+            layer += direction
+        trying = inherits and blocker < 0 and not lo <= slope <= hi
+        inherits = inherits and not trying
     # Beside and behind the parent slopes tell little apart: what any of the rays may touch must be free, but for cells
     # behind the parent on every ray.
     layer = np.int64(1) if inherits else -margin
@@ -133,9 +158,12 @@ def sees_by_wedge(free, strides, shape, generators, gram, reach, touch, at, v, a
                     break
         layer += 1
     if lo <= slope <= hi:
-        tree[a].low = lo
-        tree[a].high = hi
-        tree[a].mark |= WEDGE
+        tree[a]["low"] = lo
+        tree[a]["high"] = hi
+        tree[a]["mark"] |= WEDGE
     else:
         looked = -looked
+        if blocker >= 0:
+            tree[a]["refused"] = p + 1
+            tree[a]["blocker"] = blocker + 1
     return looked
