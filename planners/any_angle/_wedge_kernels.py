@@ -17,7 +17,6 @@ from numba import njit
 
 WEDGE = np.uint8(16)  # of a cell's marks: it has a wedge of its present parent
 BESIDE = 4.0  # cells by which a wedge reaches to either side of the cell that it is made for
-_ENOUGH = 1.25  # cells to either side: no wedge of another neighbour is looked for
 _CLEAR = 1e-12  # slopes this near to a touching one count as touching
 
 
@@ -70,7 +69,7 @@ def sees_by_wedge(free, strides, shape, generators, gram, reach, touch, at, v, a
         c = a - offsets[m]
         if np.int64(tree[c]["refused"]) == p + 1 and tree[c]["blocker"] > 0:
             hint = np.int64(tree[c]["blocker"]) - 1
-        if (tree[c]["mark"] & WEDGE) != 0 and np.int64(tree[c]["parent"]) == p and best < _ENOUGH:
+        if (tree[c]["mark"] & WEDGE) != 0 and np.int64(tree[c]["parent"]) == p:
             layer = step * (v[major] - shifts[m, major])
             beside = abs(v[inner] - shifts[m, inner])
             # Else its wedge is one across the other index.

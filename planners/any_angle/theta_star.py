@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
-from planners.path import Path, cells_to_flat, make_path, measure, not_connected
+from planners.path import NoPath, Path, cells_to_flat, make_path, measure, not_connected
+from planners.search.astar import MOST_MOVES, astar
 from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 __all__ = ["any_angle", "line_of_sight"]
 
 _KEY_STEPS = 2.0**32  # keys of the queue a shortest move
+_AT_FIRST = 1024  # expansions, a millisecond: A* is not asked how many it takes before
+_WEIGHTS = (1.003, 1.01, 1.03)  # of the straight distance, one after the other
+_SHARE = 0.25  # of A*'s expansions, that a search may take with each of them but the last
+_NO_LIMIT = 2**62
 _FIRST_QUEUE = 1024  # entries that fit at first
 _ROUNDS = 20  # of making a path taut; three or four are the rule
 _WINDOW = 8  # turning cells that a straight line may leave out, plus one
@@ -218,20 +223,21 @@ def search_path(
     view = make_view(graph)
     counts = np.zeros(len(Effort._fields), np.int64)
     scale = _KEY_STEPS / float(graph.lengths.min())
-    path = np.empty(0, np.int64)
     glance = bool(np.isin(graph.lattice.faces @ graph.strides, graph.offsets).all())
-    query = theta.Query(source, target, scale, 1.0, lazy, glance, 2**62)
-    tree = _search(graph, view, query, counts)
-    if tree is not None:
-        path = theta.follow(tree, target)
-        if tighten:
-            near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
-            path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
+    limit = _AT_FIRST if len(graph.moves) <= MOST_MOVES else _NO_LIMIT
+    path = _search(graph, view, theta.Query(source, target, scale, 1.0, lazy, glance, limit), counts)
+    if tighten and len(path):
+        near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
+        path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
     return path, Effort(*counts.tolist())
 
 
-def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> NDArray[np.void] | None:
-    """Return the tree (size,) that a search has written, None where there is no path."""
+def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> IntArray:
+    """Return the flat turning cells (M,) of a path before it is made taut, none where there is no path.
+
+    A search that has expanded as many cells as A* does from the same start goes on with a weight, which grows the
+    longer it takes.
+    """
     from planners.any_angle import _kernels as kernels
     from planners.any_angle import _theta_kernels as theta
 
@@ -244,6 +250,7 @@ def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> 
         np.empty(_FIRST_QUEUE), np.empty(_FIRST_QUEUE), np.empty(_FIRST_QUEUE, np.int64), np.zeros(1, np.int64)
     )
     distances = np.empty(0, np.uint8)
+    moved: Path | None = None
     theta.begin(view, query, tree, queue, counts)
     while True:
         status = theta.search(view, graph.free, distances, moves, query, tree, queue, counts)
@@ -252,10 +259,26 @@ def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> 
             queue = theta.Queue(*longer, queue.count)
         elif status == theta.BLOCKS_WANTED:
             distances = kernels.block_distances(view, graph.free)
-        elif status == theta.FOUND:
-            return tree
+        elif status != theta.LIMIT:
+            break
+        elif moved is None:
+            try:
+                moved = astar(graph, *graph.flat_to_index(np.array([query.start, query.goal])))
+            except NoPath:
+                break
+            query = query._replace(limit=max(moved.expansions, _AT_FIRST))
         else:
-            return None
+            stage = 1 if query.weight == 1.0 else _WEIGHTS.index(query.weight) + 2
+            share = 1.0 + _SHARE * stage if stage < len(_WEIGHTS) else math.inf
+            most = int(share * max(moved.expansions, _AT_FIRST)) if share < math.inf else _NO_LIMIT
+            query = query._replace(weight=_WEIGHTS[stage - 1], limit=most)
+            theta.weigh(view, query, tree, queue)
+    if status != theta.FOUND:
+        return np.empty(0, np.int64)
+    # With a weight the path may be longer than that of moves.
+    if moved is not None and moved.cost < float(tree[query.goal]["g"]):
+        return cells_to_flat(graph, moved.cells, "cell of the path")
+    return np.asarray(theta.follow(tree, query.goal))
 
 
 def touched_cells(graph: LatticeGraph, a: int, b: int) -> IntArray:
