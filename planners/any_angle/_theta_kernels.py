@@ -22,7 +22,7 @@ from planners.any_angle._kernels import (
     span,
 )
 from planners.any_angle._wedge_kernels import WEDGE, sees_by_wedge
-from planners.search._shared_kernels import drop_top, may_move, rise
+from planners.search._shared_kernels import drop_top, rise
 
 # What is known of a cell that Theta* has reached; WEDGE, 16, is the wedges' own.
 SEEN = np.uint8(1)  # has a g, perhaps by a parent that does not see it
@@ -348,9 +348,12 @@ def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
     Candidates are the expanded neighbours, as in the paper, and, beyond it, their parents where they see
     ``a``. ``tried`` (K + 1,) is scratch.
     """
-    strides, basis = view.strides, view.basis
+    strides, shape, basis, gram = view.strides, view.shape, view.basis, view.gram
+    generators, reach, touch = view.generators, view.reach, view.touch
     offsets, lengths, _, shifts, swept_starts, swept = moves
+    free = cells.free
     at, v, _ = segment
+    n = strides.shape[0]
     before = np.int64(tree[a]["parent"])
     tree[a]["mark"] &= ~WEDGE
     best = np.inf
@@ -359,7 +362,10 @@ def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
         b = a - offsets[k]
         if (tree[b]["mark"] & EXPANDED) == 0 or tree[b]["g"] + lengths[k] >= best:
             continue
-        if may_move(cells.free, b, k, offsets, swept_starts, swept):
+        shut = False
+        for i in range(swept_starts[k], swept_starts[k + 1]):
+            shut = shut or free[b + swept[i]] == 0
+        if not shut:
             best = tree[b]["g"] + lengths[k]
             tree[a]["parent"] = b
     # Neighbours share parents, and a look is dear: each parent is tried once, and only if it would be better.
@@ -377,15 +383,27 @@ def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
             continue
         tried[many] = p
         many += 1
-        reached = tree[p]["g"] + span(strides, basis, p, a, at, v)
+        rest_p, rest_a = p, a
+        for i in range(n):
+            at[i] = rest_p // strides[i]
+            rest_p -= at[i] * strides[i]
+            x = rest_a // strides[i]
+            rest_a -= x * strides[i]
+            v[i] = x - at[i]
+        squared = 0.0
+        for r in range(n):
+            metres = 0.0
+            for i in range(n):
+                metres += basis[r, i] * v[i]
+            squared += metres * metres
+        reached = tree[p]["g"] + np.sqrt(squared)
         if reached >= best * BETTER:
             continue
         wide = np.int64(0)
-        if strides.shape[0] == 2:
+        if n == 2:
             wide = sees_by_wedge(
-                cells.free, strides, view.shape, view.generators, view.gram, view.reach, view.touch, at, v, a, p,
-                offsets, shifts, tree,
-            )  # fmt: skip
+                free, strides, shape, generators, gram, reach, touch, at, v, a, p, offsets, shifts, tree
+            )
             counts[SCANNED] += abs(wide)
             counts[LINES] += 1
         if wide <= 0 and np.int64(tree[a]["refused"]) == p + 1:
