@@ -190,7 +190,10 @@ def search(view, free, distances, moves, query, tree, queue, counts):
     ahead, behind = np.empty(n, np.float64), np.empty(n, np.float64)
     tried = np.empty(offsets.shape[0] + 1, np.int64)
     room = key.shape[0] - offsets.shape[0] - 1
-    worth = free.shape[0] >> 2 if distances.shape[0] == 0 else np.int64(2**62)
+    # Making them takes as long as this many looks; in the plane wedges leave few lines that they shorten.
+    worth = free.shape[0] << 2 if n == 2 else free.shape[0] >> 2
+    if distances.shape[0] > 0:
+        worth = np.int64(2**62)
     count = entries[0]
     pushes, expansions = counts[PUSHES], counts[EXPANSIONS]
     status = NO_PATH

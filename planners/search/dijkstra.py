@@ -24,7 +24,7 @@ __all__ = ["DistanceField", "dijkstra"]
 # A bucket's width over the cheapest move. A little less than one: rounding must not let a move end
 # in the bucket that it began in.
 _WIDTH = 1.0 - 1e-9
-# Buckets at a time; where terrain differs more than that they are wider, and some cells expanded twice.
+# Buckets at a time; where terrain differs more than that a heap takes their place.
 _MOST_BUCKETS = 1 << 16
 
 
@@ -132,6 +132,9 @@ class DistanceField:
         from planners.search import _dijkstra_kernels as kernels
 
         back = kernels.walk_back(self._values, flat[0], self._arrays())
+        if self._values[back[-1]] > 0:
+            # It ends where a sum absorbed a step: which way on to a source the whole field tells.
+            back = kernels.follow_parents(self.parents, flat[0], self.graph.offsets)
         return make_path(
             self.graph,
             np.ascontiguousarray(back[::-1]),
@@ -187,16 +190,12 @@ def dijkstra(
         distance = np.full(graph.size, np.inf)
         width = float(graph.lengths.min()) * least_terrain(graph) * _WIDTH
         dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(graph.terrain.max()))
-        width = max(width, dearest / _MOST_BUCKETS)
-        settled, pushes = kernels.buckets(
-            graph_arrays(graph),
-            start,
-            wanted,
-            most,
-            1.0 / width,
-            int(dearest / width) + 3,
-            distance,
-        )
+        if dearest / width <= _MOST_BUCKETS:
+            settled, pushes = kernels.buckets(
+                graph_arrays(graph), start, wanted, most, 1.0 / width, int(dearest / width) + 3, distance
+            )
+        else:
+            settled, pushes = kernels.heap(graph_arrays(graph), start, wanted, most, distance)
     return DistanceField(
         graph,
         graph.flat_to_index(start),
