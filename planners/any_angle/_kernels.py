@@ -23,7 +23,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-
 # Entries of the counts.
 EXPANSIONS, PUSHES, LINES, SCANNED = range(4)
 

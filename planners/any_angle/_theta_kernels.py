@@ -174,7 +174,7 @@ def search(view, free, distances, moves, query, tree, queue, counts):
     generators, reach, touch = view.generators, view.reach, view.touch
     offsets, lengths, steps, shifts, swept_starts, swept = moves
     key, cost, node, entries = queue
-    start, goal, scale, weight, lazy, glance, limit = query
+    _, goal, scale, weight, lazy, glance, limit = query
     n = strides.shape[0]
     cells = Cells(free, distances, np.empty(0, np.float64))
     segment = empty_segment(n)

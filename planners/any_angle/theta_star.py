@@ -255,8 +255,8 @@ def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> 
     while True:
         status = theta.search(view, graph.free, distances, moves, query, tree, queue, counts)
         if status == theta.QUEUE_FULL:
-            longer = (np.concatenate([array, np.empty_like(array)]) for array in queue[:3])
-            queue = theta.Queue(*longer, queue.count)
+            key, cost, node = (np.concatenate([array, np.empty_like(array)]) for array in queue[:3])
+            queue = theta.Queue(key, cost, node, queue.count)
         elif status == theta.BLOCKS_WANTED:
             distances = kernels.block_distances(view, graph.free)
         elif status != theta.LIMIT:
