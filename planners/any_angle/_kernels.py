@@ -557,7 +557,8 @@ def _slide(view, cells, path, near, segment, counts):
             best = q
             for k in range(near.shape[0]):
                 b = q + near[k]
-                if cells.free[b] == 0 or b in (p, r):
+                # Two steps may lead out of the array, or around into another row: then to a cell that is far off.
+                if not 0 <= b < cells.free.shape[0] or cells.free[b] == 0 or b in (p, q, r):
                     continue
                 length = join(view, p, b, segment) + join(view, b, r, segment)
                 # Lengths first: they cost less than looks.
