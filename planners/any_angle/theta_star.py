@@ -141,7 +141,8 @@ def any_angle(
     shorter way to it turns up; so the path is never longer than A*'s on the same graph. A search that has expanded as
     many cells as A* does, which is found by running it, goes on with a weight of up to 1.03 on the straight
     distance, as in sparse fields hardly any cell is much worse than the best; A*'s path stands in for a longer
-    one. The path is then made taut: turning cells are left out, moved by a step or two and cut off, as long as that shortens.
+    one. The path is then made taut: turning cells are left out, moved by a step or two and cut off, as long as
+    that shortens.
 
     The path is not the shortest one of its kind in general; where obstacles lie on both sides the
     planner may pass them on the wrong one. Turning points are centres of cells, as far from walls as
