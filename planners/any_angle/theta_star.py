@@ -29,6 +29,7 @@ _KEY_STEPS = 2.0**32  # keys of the queue a shortest move
 _AT_FIRST = 1024  # expansions, a millisecond: A* is not asked how many it takes before
 _WEIGHTS = (1.003, 1.01, 1.03)  # of the straight distance, one after the other
 _SHARE = 0.25  # of A*'s expansions, that a search may take with each of them but the last
+_CORNERS = 2000  # turning cells up to which sliding them by two steps takes little of the whole time
 _NO_LIMIT = 2**62
 _FIRST_QUEUE = 1024  # entries that fit at first
 _ROUNDS = 20  # of making a path taut; three or four are the rule
@@ -230,9 +231,10 @@ def search_path(
     limit = _AT_FIRST if len(graph.moves) <= MOST_MOVES else _NO_LIMIT
     path = _search(graph, view, theta.Query(source, target, scale, 1.0, lazy, glance, limit), counts)
     if tighten and len(path):
-        # Two steps away: over a cell that one step leads onto, which may be no better.
         near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
-        near = np.unique(np.concatenate([near, (near[:, None] + near).ravel()]))
+        if len(path) <= _CORNERS:
+            # Two steps away as well: over a cell that one step leads onto, which may be no better.
+            near = np.unique(np.concatenate([near, (near[:, None] + near).ravel()]))
         path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
     return path, Effort(*counts.tolist())
 
