@@ -282,8 +282,8 @@ def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> 
             theta.weigh(view, query, tree, queue)
     if status != theta.FOUND:
         return np.empty(0, np.int64)
-    # With a weight the path may be longer than that of moves.
-    if moved is not None and moved.cost < float(tree[query.goal]["g"]):
+    # With a weight the path may be longer than that of moves, by more than sums of many lengths are off.
+    if moved is not None and query.weight > 1.0 and moved.cost < float(tree[query.goal]["g"]) * (1.0 - 1e-9):
         return cells_to_flat(graph, moved.cells, "cell of the path")
     return np.asarray(theta.follow(tree, query.goal))
 
