@@ -247,12 +247,15 @@ class Clearance:
         return self._find(window).cells
 
     def _find(self, window: Window) -> FoundCells:
-        if self._found is None:
-            assert self._source is not None
-            self._found = self._source.find(window)
+        # The source is read first: it goes only after the cells are there, so that a thread that sees no cells has it.
+        source = self._source
+        found = self._found
+        if found is None:
+            assert source is not None
+            found = self._found = source.find(window)
             # The states that they were found in may be as large as the window.
             self._source = None
-        return self._found
+        return found
 
     def obstacles(self, window: Window, to: To) -> Obstacles:
         """Return the obstacles of the kind that clearance to their "centre" or "cell" is measured to; made once."""

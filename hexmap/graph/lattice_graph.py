@@ -670,6 +670,9 @@ class LatticeGraph:
             k = int(np.argmax(wrong))
             cell = tuple(self.flat_to_index(nodes[k : k + 1])[0].tolist())
             raise ArgumentError(f"the terrain of a free cell must be positive and finite, not {values[k]:g} at {cell}")
+        # The cost of a path through all cells must be a number.
+        if len(values) and not math.isfinite(float(values.max()) * float(self.lengths.max()) * 4.0 * len(values)):
+            raise ArgumentError(f"the terrain of a free cell is {values.max():g}: costs of paths would overflow")
         out = np.full(self.size, values.min() if len(values) else 1.0)
         out[nodes] = values
         return self._derived(None, out)

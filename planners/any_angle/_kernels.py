@@ -1,4 +1,4 @@
-"""Numba kernels of the any-angle planner: line of sight on any lattice, lazy Theta*, and making paths taut.
+"""Numba kernels of the any-angle planner: line of sight on any lattice, and making paths taut.
 
 Which cells a segment from 0 to v touches depends on v alone. The Voronoi cell V of every lattice of
 the plane and of space is a zonotope, the sum of the segments z_e / 2 to -z_e / 2 (Fedorov), and the cell around
@@ -23,14 +23,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planners.search._shared_kernels import drop_top, may_move, rise
-
-# What is known of a cell that Theta* has reached.
-SEEN = np.uint8(1)  # has a g, perhaps by a parent that does not see it
-SURE = np.uint8(2)  # its parent is known to see it
-DONE = np.uint8(4)  # expanded with its present g
-EXPANDED = np.uint8(8)  # expanded once: its g never rises
-
 # Entries of the counts.
 EXPANSIONS, PUSHES, LINES, SCANNED = range(4)
 
@@ -38,7 +30,7 @@ SHIFT = 2  # blocks are 4 cells wide
 CHECK = 4  # layers until the distance is looked up again where a block had none
 FARTHEST = 254  # blocks: as far as a distance is told
 SLIDES = 1000  # of one turning cell in a row
-_BETTER = 1.0 - 1e-12  # a smaller gain is a rounding error
+BETTER = 1.0 - 1e-12  # a smaller gain is a rounding error
 
 
 class View(NamedTuple):
@@ -97,38 +89,6 @@ class Segment(NamedTuple):
     at: NDArray[np.int64]
     v: NDArray[np.int64]
     touched: NDArray[np.int64]
-
-
-class Moves(NamedTuple):
-    """The moves of a graph.
-
-    Attributes:
-        offsets: (K,) int64 flat offsets.
-        lengths: (K,) float64, metres.
-        steps: (K, n) float64, metres along each axis.
-        swept_starts: (K + 1,) where the cells that a move sweeps begin.
-        swept: (S,) flat offsets of those cells.
-    """
-
-    offsets: NDArray[np.int64]
-    lengths: NDArray[np.float64]
-    steps: NDArray[np.float64]
-    swept_starts: NDArray[np.int64]
-    swept: NDArray[np.int64]
-
-
-class Tree(NamedTuple):
-    """What a search knows of the cells; ``g`` and ``parent`` are read only where ``mark`` is set.
-
-    Attributes:
-        g: (size,) float64 length of the path to a cell, metres.
-        parent: (size,) int32, the flat cell from which a straight line leads to it.
-        mark: (size,) uint8, the bits SEEN, SURE, DONE and EXPANDED; zero before a search.
-    """
-
-    g: NDArray[np.float64]
-    parent: NDArray[np.int32]
-    mark: NDArray[np.uint8]
 
 
 class Shadow(NamedTuple):
@@ -408,7 +368,7 @@ def walk(view, cells, segment, alike):
 
 
 @njit(cache=True, nogil=True)
-def _counted(seen, counts):
+def counted(seen, counts):
     """Tell whether a :func:`walk` that returned ``seen`` found the line free; count the line and its cells."""
     counts[LINES] += 1
     counts[SCANNED] += abs(seen)
@@ -416,10 +376,10 @@ def _counted(seen, counts):
 
 
 @njit(cache=True, nogil=True)
-def _sees(view, cells, a, b, segment, counts):
+def sees(view, cells, a, b, segment, counts):
     """Tell whether the flat cell ``a`` sees ``b``; count the line and its cells."""
     join(view, a, b, segment)
-    return _counted(walk(view, cells, segment, 0.0), counts)
+    return counted(walk(view, cells, segment, 0.0), counts)
 
 
 @njit(cache=True, nogil=True)
@@ -514,202 +474,6 @@ def _distance_by_neighbours(out, at, sweep, deep, high, wide, n):
     return least
 
 
-# ---------------------------------------------------------------------- lazy Theta*
-
-
-@njit(cache=True, nogil=True)
-def search(view, free, moves, start, goal, scale, lazy, tree, counts):
-    """Search from ``start`` to ``goal`` by Theta*; return whether there is a path, written in ``tree.parent``.
-
-    A cell is reached from its neighbour's parent if that sees it, else from the neighbour (Nash and
-    others, 2007); whether it does is looked up when the cell is expanded (lazily; Nash, Koenig and
-    Tovey, 2010). A cell that has been expanded is only ever reached anew by a line that is free, and
-    then expanded again. So g of expanded cells never rises, every neighbour of an expanded cell has
-    an entry of at most g + the move, and the argument for A* holds: the path is at most as long as the
-    shortest one of moves.
-
-    Args:
-        view: the lattice and the window.
-        free: (size,) the graph's cells.
-        moves: the graph's moves.
-        start: flat cell.
-        goal: flat cell.
-        scale: keys a metre.
-        lazy: whether lines are looked along late.
-        tree: of sparse_zeros arrays; it is written.
-        counts: (4,) int64, zero: expansions, pushes, lines of sight, cells looked at on them.
-    """
-    # The names of the arrays: taking one out of a NamedTuple in a loop would count a reference each time.
-    strides, basis = view.strides, view.basis
-    offsets, lengths, steps, swept_starts, swept = moves
-    g, parent, mark = tree
-    n = strides.shape[0]
-    cells = plain_cells(free)
-    segment = empty_segment(n)
-    at, v, _ = segment
-    ahead = np.empty(n, np.float64)
-    behind = np.empty(n, np.float64)
-    tried = np.empty(offsets.shape[0] + 1, np.int64)
-    # The queue: f in steps of the key, the g with which a cell was entered, and the cell.
-    key = np.empty(1024, np.float64)
-    cost = np.empty(1024, np.float64)
-    node = np.empty(1024, np.int64)
-    g[start] = 0.0
-    parent[start] = start
-    mark[start] = SEEN | SURE
-    key[0] = np.floor(span(strides, basis, start, goal, at, v) * scale + 0.5)
-    cost[0] = 0.0
-    node[0] = start
-    count = 1
-    counts[PUSHES] = 1
-    while count > 0:
-        a = node[0]
-        entered = cost[0]
-        count = drop_top(key, cost, node, count)
-        # Cells are entered again where they are reached anew; only the entry with the present g counts.
-        if entered != g[a] or (mark[a] & DONE) != 0:
-            continue
-        # An expansion enters each neighbour once at the most, so that room need not be asked for there.
-        if count + offsets.shape[0] + 1 > key.shape[0]:
-            key = np.append(key, np.empty_like(key))
-            cost = np.append(cost, np.empty_like(cost))
-            node = np.append(node, np.empty_like(node))
-        # Worth making once as many cells have been looked at as it takes.
-        if cells.distances.shape[0] == 0 and counts[SCANNED] > free.shape[0] >> 2:
-            cells = Cells(free, block_distances(view, free), cells.terrain)
-
-        # Before a cell is expanded its parent must see it (SetVertex of the paper). With another parent g may have
-        # grown; then the cell waits for its turn in the queue.
-        if (mark[a] & SURE) == 0:
-            mark[a] |= SURE
-            span(strides, basis, np.int64(parent[a]), a, at, v)
-            if not _counted(walk(view, cells, segment, 0.0), counts):
-                g[a] = _find_parent(view, cells, moves, tree, a, segment, tried, counts)
-                f = np.floor((g[a] + span(strides, basis, a, goal, at, v)) * scale + 0.5)
-                if count > 0 and f > key[0]:
-                    rise(key, cost, node, count, f, g[a], a)
-                    count += 1
-                    counts[PUSHES] += 1
-                    continue
-        mark[a] |= DONE | EXPANDED
-        counts[EXPANSIONS] += 1
-        if a == goal:
-            return True
-
-        # A neighbour's distances from the parent and to the goal are those of a, a move further: no divisions.
-        p = np.int64(parent[a])
-        before, here = g[p], g[a]
-        span(strides, basis, p, a, at, v)
-        _metres(basis, v, behind)
-        span(strides, basis, a, goal, at, v)
-        _metres(basis, v, ahead)
-        for k in range(offsets.shape[0]):
-            b = a + offsets[k]
-            if free[b] == 0 or b == p:
-                continue
-            # Path 2 of the paper: straight from the parent, as if it saw b.
-            total = 0.0
-            for r in range(n):
-                x = behind[r] + steps[k, r]
-                total += x * x
-            reached = before + np.sqrt(total)
-            old = mark[b]
-            if old != 0 and reached >= g[b] * _BETTER:
-                continue
-            if not may_move(free, a, k, offsets, swept_starts, swept):
-                continue
-            parent_b = p
-            if lazy and (old & SURE) == 0:
-                mark[b] = SEEN
-            else:
-                # A g that a line is known to give is never replaced by one that is only hoped for.
-                span(strides, basis, p, b, at, v)
-                if not _counted(walk(view, cells, segment, 0.0), counts):
-                    parent_b = a  # path 1: by the move
-                    reached = here + lengths[k]
-                    if old != 0 and reached >= g[b] * _BETTER:
-                        continue
-                mark[b] = SEEN | SURE | (old & EXPANDED)
-            g[b] = reached
-            parent[b] = parent_b
-            total = 0.0
-            for r in range(n):
-                x = ahead[r] - steps[k, r]
-                total += x * x
-            f = np.floor((reached + np.sqrt(total)) * scale + 0.5)
-            rise(key, cost, node, count, f, reached, b)
-            count += 1
-            counts[PUSHES] += 1
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _metres(basis, v, out):
-    """Write the displacement ``v`` (n,) in metres along each axis."""
-    for r in range(v.shape[0]):
-        out[r] = 0.0
-        for c in range(v.shape[0]):
-            out[r] += basis[r, c] * v[c]
-
-
-@njit(cache=True, nogil=True)
-def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
-    """Give the cell ``a``, which its parent does not see, the best other one; return the g by it.
-
-    Candidates are the expanded neighbours, as in the paper, and, beyond it, their parents where they see
-    ``a``. ``tried`` (K + 1,) is scratch.
-    """
-    strides, basis = view.strides, view.basis
-    offsets, lengths, _, swept_starts, swept = moves
-    g, parent, mark = tree
-    at, v, _ = segment
-    before = np.int64(parent[a])
-    best = np.inf
-    # The neighbour from which a was reached has been expanded and may move here: one is always found.
-    for k in range(offsets.shape[0]):
-        b = a - offsets[k]
-        if (mark[b] & EXPANDED) == 0 or g[b] + lengths[k] >= best:
-            continue
-        if may_move(cells.free, b, k, offsets, swept_starts, swept):
-            best = g[b] + lengths[k]
-            parent[a] = b
-    # Neighbours share parents, and a look is dear: each parent is tried once, and only if it would be better.
-    tried[0] = before
-    many = 1
-    for k in range(offsets.shape[0]):
-        b = a - offsets[k]
-        if (mark[b] & EXPANDED) == 0:
-            continue
-        p = np.int64(parent[b])
-        known = False
-        for i in range(many):
-            known = known or tried[i] == p
-        if known:
-            continue
-        tried[many] = p
-        many += 1
-        reached = g[p] + span(strides, basis, p, a, at, v)
-        if reached < best * _BETTER and _counted(walk(view, cells, segment, 0.0), counts):
-            best = reached
-            parent[a] = p
-    return best
-
-
-@njit(cache=True, nogil=True)
-def follow(parent, at):
-    """Return the flat cells from the start to ``at``."""
-    out = np.empty(64, np.int64)
-    out[0] = at
-    count = 1
-    while parent[at] != at:
-        at = np.int64(parent[at])
-        if count == out.shape[0]:
-            out = np.append(out, np.empty(count, np.int64))
-        out[count] = at
-        count += 1
-    return out[:count][::-1].copy()
-
-
 # ---------------------------------------------------------------------- taut paths
 
 
@@ -736,7 +500,7 @@ def tighten(view, free, path, near, rounds, window, counts):
         path = _cut(view, cells, path, segment, counts)
         _slide(view, cells, path, near, segment, counts)
         path = _pull(view, cells, path, window, segment, counts)
-        if _length(view, path, segment) >= before * _BETTER:
+        if _length(view, path, segment) >= before * BETTER:
             break
     return path
 
@@ -764,7 +528,7 @@ def _pull(view, cells, path, window, segment, counts):
         last[j] = j - 1
         for i in range(max(j - window, 0), j - 1):
             straight = cost[i] + join(view, path[i], path[j], segment)
-            if straight < cost[j] * _BETTER and _counted(walk(view, cells, segment, 0.0), counts):
+            if straight < cost[j] * BETTER and counted(walk(view, cells, segment, 0.0), counts):
                 cost[j] = straight
                 last[j] = i
     # Back from the end, once to count and once to write.
@@ -789,18 +553,19 @@ def _slide(view, cells, path, near, segment, counts):
         r = path[i + 1]
         for _ in range(SLIDES):
             q = path[i]
-            least = (join(view, p, q, segment) + join(view, q, r, segment)) * _BETTER
+            least = (join(view, p, q, segment) + join(view, q, r, segment)) * BETTER
             best = q
             for k in range(near.shape[0]):
                 b = q + near[k]
-                if cells.free[b] == 0 or b in (p, r):
+                # Two steps may lead out of the array, or around into another row: then to a cell that is far off.
+                if not 0 <= b < cells.free.shape[0] or cells.free[b] == 0 or b in (p, q, r):
                     continue
                 length = join(view, p, b, segment) + join(view, b, r, segment)
                 # Lengths first: they cost less than looks.
                 if (
                     length < least
-                    and _sees(view, cells, p, b, segment, counts)
-                    and _sees(view, cells, b, r, segment, counts)
+                    and sees(view, cells, p, b, segment, counts)
+                    and sees(view, cells, b, r, segment, counts)
                 ):
                     least = length
                     best = b
@@ -850,13 +615,13 @@ def _cut_corner(view, cells, p, q, r, segment, counts):
             if cells.free[x] == 0 or cells.free[y] == 0 or x in (y, p) or y == r:
                 continue
             new = join(view, p, x, segment) + join(view, x, y, segment) + join(view, y, r, segment)
-            if new >= length * _BETTER:
+            if new >= length * BETTER:
                 continue
             # The new leg is the likeliest to be blocked; the others are near lines that are free.
             if (
-                _sees(view, cells, x, y, segment, counts)
-                and _sees(view, cells, p, x, segment, counts)
-                and _sees(view, cells, y, r, segment, counts)
+                sees(view, cells, x, y, segment, counts)
+                and sees(view, cells, p, x, segment, counts)
+                and sees(view, cells, y, r, segment, counts)
             ):
                 return x, y
         fraction *= 0.5

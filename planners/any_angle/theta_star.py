@@ -14,16 +14,24 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
-from planners.path import Path, cells_to_flat, clearances, make_path, measure, not_connected
+from planners.path import NoPath, Path, cells_to_flat, clearances, make_path, measure, not_connected
+from planners.search.astar import MOST_MOVES, astar
 from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph
     from planners.any_angle._kernels import View
+    from planners.any_angle._theta_kernels import Query
 
 __all__ = ["any_angle", "line_of_sight"]
 
 _KEY_STEPS = 2.0**32  # keys of the queue a shortest move
+_AT_FIRST = 1024  # expansions, a millisecond: A* is not asked how many it takes before
+_WEIGHTS = (1.003, 1.01, 1.03)  # of the straight distance, one after the other
+_SHARE = 0.25  # of A*'s expansions, that a search may take with each of them but the last
+_CORNERS = 2000  # turning cells up to which sliding them by two steps takes little of the whole time
+_NO_LIMIT = 2**62
+_FIRST_QUEUE = 1024  # entries that fit at first
 _ROUNDS = 20  # of making a path taut; three or four are the rule
 _WINDOW = 8  # turning cells that a straight line may leave out, plus one
 _TOUCH = 2e-9  # of the cell's width: the tolerance of hexmap.graph.swept_cells
@@ -131,8 +139,11 @@ def any_angle(
     Lazy Theta* (Nash, Koenig and Tovey, 2010, "Lazy Theta*: Any-Angle Path Planning and Path Length Analysis in
     3D") over the graph's moves with :func:`line_of_sight`. Other than there, a cell whose parent does
     not see it also tries its neighbours' parents, goes back into the queue, and is expanded again where a
-    shorter way to it turns up; so the path is never longer than A*'s on the same graph. It is then made
-    taut: turning cells are left out, moved to neighbours and cut off, as long as that shortens.
+    shorter way to it turns up; so the path is never longer than A*'s on the same graph. A search that has expanded as
+    many cells as A* does, which is found by running it, goes on with a weight of up to 1.03 on the straight
+    distance, as in sparse fields hardly any cell is much worse than the best; A*'s path stands in for a longer
+    one. The path is then made taut: turning cells are left out, moved by a step or two and cut off, as long as
+    that shortens.
 
     The path is not the shortest one of its kind in general; where obstacles lie on both sides the
     planner may pass them on the wrong one. Turning points are centres of cells, as far from walls as
@@ -211,21 +222,70 @@ def search_path(
 ) -> tuple[IntArray, Effort]:
     """Return the flat turning cells (M,) from ``source`` to ``target``, none without a path, and what it took."""
     from planners.any_angle import _kernels as kernels
+    from planners.any_angle import _theta_kernels as theta
 
     view = make_view(graph)
-    steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
-    moves = kernels.Moves(graph.offsets, graph.lengths, steps, graph.swept_starts, graph.swept)
-    # Pages that a short search does not touch cost nothing.
-    tree = kernels.Tree(*(sparse_zeros(graph.size, kind) for kind in (np.float64, np.int32, np.uint8)))
     counts = np.zeros(len(Effort._fields), np.int64)
     scale = _KEY_STEPS / float(graph.lengths.min())
-    path = np.empty(0, np.int64)
-    if kernels.search(view, graph.free, moves, source, target, scale, lazy, tree, counts):
-        path = kernels.follow(tree.parent, target)
-        if tighten:
-            near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
-            path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
+    glance = bool(np.isin(graph.lattice.faces @ graph.strides, graph.offsets).all())
+    limit = _AT_FIRST if len(graph.moves) <= MOST_MOVES else _NO_LIMIT
+    path = _search(graph, view, theta.Query(source, target, scale, 1.0, lazy, glance, limit), counts)
+    if tighten and len(path):
+        near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
+        if len(path) <= _CORNERS:
+            # Two steps away as well: over a cell that one step leads onto, which may be no better.
+            near = np.unique(np.concatenate([near, (near[:, None] + near).ravel()]))
+        path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
     return path, Effort(*counts.tolist())
+
+
+def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> IntArray:
+    """Return the flat turning cells (M,) of a path before it is made taut, none where there is no path.
+
+    A search that has expanded as many cells as A* does from the same start goes on with a weight, which grows the
+    longer it takes.
+    """
+    from planners.any_angle import _kernels as kernels
+    from planners.any_angle import _theta_kernels as theta
+
+    steps = np.ascontiguousarray(graph.moves @ graph.lattice.basis.T)
+    shifts = np.ascontiguousarray(graph.moves, dtype=np.int64)
+    moves = theta.Moves(graph.offsets, graph.lengths, steps, shifts, graph.swept_starts, graph.swept)
+    # Pages that a short search does not touch cost nothing.
+    tree = sparse_zeros(graph.size, theta.TREE)
+    queue = theta.Queue(
+        np.empty(_FIRST_QUEUE), np.empty(_FIRST_QUEUE), np.empty(_FIRST_QUEUE, np.int64), np.zeros(1, np.int64)
+    )
+    distances = np.empty(0, np.uint8)
+    moved: Path | None = None
+    theta.begin(view, query, tree, queue, counts)
+    while True:
+        status = theta.search(view, graph.free, distances, moves, query, tree, queue, counts)
+        if status == theta.QUEUE_FULL:
+            key, cost, node = (np.concatenate([array, np.empty_like(array)]) for array in queue[:3])
+            queue = theta.Queue(key, cost, node, queue.count)
+        elif status == theta.BLOCKS_WANTED:
+            distances = kernels.block_distances(view, graph.free)
+        elif status != theta.LIMIT:
+            break
+        elif moved is None:
+            try:
+                moved = astar(graph, *graph.flat_to_index(np.array([query.start, query.goal])))
+            except NoPath:
+                break
+            query = query._replace(limit=max(moved.expansions, _AT_FIRST))
+        else:
+            stage = 1 if query.weight == 1.0 else _WEIGHTS.index(query.weight) + 2
+            share = 1.0 + _SHARE * stage if stage < len(_WEIGHTS) else math.inf
+            most = int(share * max(moved.expansions, _AT_FIRST)) if share < math.inf else _NO_LIMIT
+            query = query._replace(weight=_WEIGHTS[stage - 1], limit=most)
+            theta.weigh(view, query, tree, queue)
+    if status != theta.FOUND:
+        return np.empty(0, np.int64)
+    # With a weight the path may be longer than that of moves, by more than sums of many lengths are off.
+    if moved is not None and query.weight > 1.0 and moved.cost < float(tree[query.goal]["g"]) * (1.0 - 1e-9):
+        return cells_to_flat(graph, moved.cells, "cell of the path")
+    return np.asarray(theta.follow(tree, query.goal))
 
 
 def touched_cells(graph: LatticeGraph, a: int, b: int) -> IntArray:

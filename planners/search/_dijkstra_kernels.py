@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planners.search._shared_kernels import may_move, move_cost
+from planners.search._shared_kernels import drop_top, may_move, move_cost, rise
 
 
 @njit(cache=True, nogil=True)
@@ -174,6 +174,9 @@ def _parent(values, at, graph):
         # The very sum of the search, hence equal to the last bit.
         if values[before] + move_cost(before, at, k, lengths, terrain) != value:
             continue
+        # A step so cheap that the sum absorbs it leads nowhere nearer: two cells could be each other's parents.
+        if values[before] >= value:
+            continue
         if may_move(free, before, k, offsets, swept_starts, swept):
             return k
     return moves
@@ -181,9 +184,42 @@ def _parent(values, at, graph):
 
 @njit(cache=True, nogil=True)
 def parents(values, out, graph):
-    """Write for each cell the move that leads to it from its parent; the number of moves where there is none."""
+    """Write for each cell the move that leads to it from its parent; the number of moves where there is none.
+
+    Cells that are as far as all they could come from, because a sum absorbed the step, get their parents in rounds,
+    each from a cell that has one already: so every chain of parents ends in a source.
+    """
+    free, offsets, lengths, swept_starts, swept, terrain = graph
+    moves = offsets.shape[0]
+    level = 0
     for at in range(values.shape[0]):
         out[at] = _parent(values, at, graph)
+        if out[at] == moves and values[at] > 0 and values[at] < np.inf:
+            level += 1
+    if level == 0:
+        return
+    # Breadth first, from all cells that have a parent, into those of the same value that have none.
+    queue = np.empty(values.shape[0], np.int64)
+    count = 0
+    for at in range(values.shape[0]):
+        if free[at] != 0 and (out[at] != moves or values[at] == 0):
+            queue[count] = at
+            count += 1
+    head = 0
+    while head < count and level > 0:
+        at = queue[head]
+        head += 1
+        for k in range(moves):
+            b = at + offsets[k]
+            if free[b] == 0 or out[b] != moves or values[b] != values[at] or not values[b] > 0:
+                continue
+            if values[at] + move_cost(at, b, k, lengths, terrain) != values[b]:
+                continue
+            if may_move(free, at, k, offsets, swept_starts, swept):
+                out[b] = k
+                level -= 1
+                queue[count] = b
+                count += 1
 
 
 @njit(cache=True, nogil=True)
@@ -202,3 +238,78 @@ def walk_back(values, at, graph):
             out = np.append(out, np.empty(count, np.int64))
         out[count] = at
         count += 1
+
+
+@njit(cache=True, nogil=True)
+def follow_parents(parents, at, offsets):
+    """Return the flat cells from ``at`` back to a source, by what :func:`parents` has written."""
+    out = np.empty(64, np.int64)
+    out[0] = at
+    count = 1
+    while parents[at] != offsets.shape[0]:
+        at -= offsets[parents[at]]
+        if count == out.shape[0]:
+            out = np.append(out, np.empty(count, np.int64))
+        out[count] = at
+        count += 1
+    return out[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def heap(graph, sources, goals, limit, distance):
+    """Write the least cost from ``sources`` into ``distance`` (size,), by a heap; see :func:`buckets` for the rest.
+
+    For moves whose costs differ by more than there can be buckets: each cell is expanded once, whatever they are.
+
+    Returns (expansions, pushes).
+    """
+    free, offsets, lengths, swept_starts, swept, terrain = graph
+    moves = offsets.shape[0]
+    key = np.empty(1024 + sources.shape[0], np.float64)
+    cost = np.empty(1024 + sources.shape[0], np.float64)
+    node = np.empty(1024 + sources.shape[0], np.int64)
+    wanted = np.zeros(distance.shape[0] if goals.shape[0] > 0 else 0, np.bool_)
+    missing = 0
+    for i in range(goals.shape[0]):
+        missing += 0 if wanted[goals[i]] else 1
+        wanted[goals[i]] = True
+    count = 0
+    for i in range(sources.shape[0]):
+        if distance[sources[i]] != 0.0:
+            distance[sources[i]] = 0.0
+            rise(key, cost, node, count, 0.0, 0.0, sources[i])
+            count += 1
+    settled = 0
+    pushes = count
+    final = np.zeros(distance.shape[0], np.bool_)
+    while count > 0:
+        a = node[0]
+        d = key[0]
+        count = drop_top(key, cost, node, count)
+        if final[a]:
+            continue
+        final[a] = True
+        settled += 1
+        if goals.shape[0] > 0 and wanted[a]:
+            missing -= 1
+            if missing == 0:
+                break
+        if count + moves > key.shape[0]:
+            key = np.append(key, np.empty_like(key))
+            cost = np.append(cost, np.empty_like(cost))
+            node = np.append(node, np.empty_like(node))
+        for k in range(moves):
+            b = a + offsets[k]
+            if free[b] == 0 or final[b]:
+                continue
+            reached = d + move_cost(a, b, k, lengths, terrain)
+            if reached < distance[b] and reached <= limit and may_move(free, a, k, offsets, swept_starts, swept):
+                distance[b] = reached
+                rise(key, cost, node, count, reached, reached, b)
+                count += 1
+                pushes += 1
+    # Cells that still wait have a cost, but not a final one.
+    for i in range(count):
+        if not final[node[i]]:
+            distance[node[i]] = np.inf
+    return settled, pushes

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from planners.search._astar_kernels import Heuristic, OpenList, Scratch
     from planners.search._shared_kernels import GraphArrays
 
-__all__ = ["astar"]
+__all__ = ["MOST_MOVES", "astar"]
 
 _MOST_WEIGHT = 1e6  # more is greedy search, and would overflow the queue's keys
 _KEY_STEPS = 2.0**32  # keys of the queue a cheapest move
@@ -32,7 +32,7 @@ _KEY_STEPS = 2.0**32  # keys of the queue a cheapest move
 # rounding error: without that the order of a sum decides ties, and opens cells again by the thousand.
 _LENGTH_STEPS = 2.0**36
 _SLACK = 1.0 - 1e-13  # the same for terrain, whose costs are what they are
-_MOST_MOVES = 126  # they share a byte with the goals' mark
+MOST_MOVES = 126  # they share a byte with the goals' mark
 _MOST_TARGETS = 16  # goals beyond this cost more to measure than the heuristic saves
 _BUCKETS_A_MOVE = 16.0  # of the queue, to the cheapest move: few cells are sorted at a time
 _FIRST_QUEUE = 1024  # entries that fit at first
@@ -132,8 +132,8 @@ def _check(
         raise ArgumentError(f"heuristic must be None (derived from the moves) or 'none', not {heuristic!r}")
     if bidirectional and weight != 1.0:
         raise ArgumentError("a search from both ends takes no weight")
-    if len(graph.moves) > _MOST_MOVES:
-        raise ArgumentError(f"A* takes at most {_MOST_MOVES} moves, not {len(graph.moves)}")
+    if len(graph.moves) > MOST_MOVES:
+        raise ArgumentError(f"A* takes at most {MOST_MOVES} moves, not {len(graph.moves)}")
     if np.ndim(start) != 1:
         raise ArgumentError(f"A* starts in one cell ({graph.lattice.dim},), not {np.shape(start)}")
     if nearest and np.ndim(goal) != 1:

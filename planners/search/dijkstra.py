@@ -27,7 +27,7 @@ __all__ = ["DistanceField", "dijkstra"]
 _WIDTH = 1.0 - 1e-9
 # A path's cost has no rounding error, the sums of the search have some: a cell at the limit itself is within it.
 _ROUNDING = 1e-12
-# Buckets at a time; where terrain differs more than that they are wider, and some cells expanded twice.
+# Buckets at a time; where terrain differs more than that a heap takes their place.
 _MOST_BUCKETS = 1 << 16
 
 
@@ -135,6 +135,9 @@ class DistanceField:
         from planners.search import _dijkstra_kernels as kernels
 
         back = kernels.walk_back(self._values, flat[0], self._arrays())
+        if self._values[back[-1]] > 0:
+            # It ends where a sum absorbed a step: which way on to a source the whole field tells.
+            back = kernels.follow_parents(self.parents, flat[0], self.graph.offsets)
         return make_path(
             self.graph,
             np.ascontiguousarray(back[::-1]),
@@ -190,16 +193,14 @@ def dijkstra(
         distance = np.full(graph.size, np.inf)
         width = float(graph.lengths.min()) * least_terrain(graph) * _WIDTH
         dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(graph.terrain.max()))
-        width = max(width, dearest / _MOST_BUCKETS)
-        settled, pushes = kernels.buckets(
-            graph_arrays(graph),
-            start,
-            wanted,
-            most * (1.0 + _ROUNDING),
-            1.0 / width,
-            int(dearest / width) + 3,
-            distance,
-        )
+        reach = most * (1.0 + _ROUNDING)
+        if dearest / width <= _MOST_BUCKETS:
+            buckets = int(dearest / width) + 3
+            settled, pushes = kernels.buckets(
+                graph_arrays(graph), start, wanted, reach, 1.0 / width, buckets, distance
+            )
+        else:
+            settled, pushes = kernels.heap(graph_arrays(graph), start, wanted, reach, distance)
     return DistanceField(
         graph,
         graph.flat_to_index(start),

@@ -5,6 +5,9 @@ optimum is that of a point through the source map between the same two points (p
 Rasters on hexagons can open or shut gaps of the source map: ratios below one are such gaps. In space: the
 Warframe maps, against the shortest of the paths that any planner here found. Times are CPU seconds of one
 thread. ``python -m tests.benchmarks.anyangle [--queries 100] [map ...]``, maps by name such as arena or Simple.
+
+``hard`` as a name stands for maps on which lines are long or many, corridors, spirals and sparse fields of 500, 1000
+and 2000 cells a side: times there are the least of two, A* and any-angle in turn.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from planners import NoPath, astar, shortcut
 from planners.any_angle.optimum import AnyAngleOptimum
 from planners.any_angle.theta_star import search_path
 from tests.benchmarks._common import data_folder, table, versions
+from tests.planners import hard
 
 PLANE = (("Z2", 8, 1.0), ("Z2", 8, 0.5), ("A2", 6, 0.5), ("A2", 12, 0.5), ("Z2", 8, 0.25), ("A2", 6, 0.25))
 MAPS = ("arena", "den520d", "AR0011SR", "brc202d", "Berlin_0_512", "maze512-8-0", "random512-25-0")
@@ -116,6 +120,33 @@ def one_map(label: str, free: np.ndarray, ends: np.ndarray, kind: tuple[str, int
     return [label, len(r), *over, *[float(v) for v in mean[2:4]], *[int(v) for v in mean[4:]]]
 
 
+def hard_map(label: str, side: int, name: str, neighbourhood: int) -> list[object]:
+    """Return a row of the table of hard maps."""
+    states, start, goal = hard.MAPS[label](side)
+    graph = LatticeGraph.from_states(Lattice.named(name), [0, 0], states, neighbourhood=neighbourhood)
+    source, target = graph.index_to_flat(np.array([start, goal])).tolist()
+    moving, straight = [], []
+    for _ in range(2):
+        begin = time.process_time()
+        path = astar(graph, start, goal)
+        middle = time.process_time()
+        cells, effort = search_path(graph, source, target)
+        moving.append(middle - begin)
+        straight.append(time.process_time() - middle)
+    length = float(np.linalg.norm(np.diff(graph.centres(cells), axis=0), axis=1).sum())
+    times = 1e3 * min(moving), 1e3 * min(straight), min(straight) / min(moving)
+    return [f"{label}, {name}-{neighbourhood}", side, *times, path.expansions, effort.expansions, f"{length:.2f}"]
+
+
+def hard_maps() -> None:
+    """Print the table of hard maps."""
+    rows: list[list[object]] = [["map", "side", "A* ms", "any-angle ms", "times", "A* expands", "expands", "length"]]
+    for name, neighbourhood in (("Z2", 8), ("A2", 6)):
+        hard_map("1 % blocked", 100, name, neighbourhood)  # compiles
+        rows += [hard_map(label, side, name, neighbourhood) for label in hard.MAPS for side in (500, 1000, 2000)]
+    table(rows)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.anyangle")
@@ -124,6 +155,11 @@ def main(arguments: list[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     maps, queries = chosen.maps, chosen.queries
     print(versions("hexmap", "numpy", "numba"), "\n")
+    if not maps or "hard" in maps:
+        hard_maps()
+        maps = [name for name in maps if name != "hard"]
+        if chosen.maps and not maps:
+            return
     folder = data_folder() / "planning"
     if not folder.is_dir():
         print("any-angle planning is left out: no shared data (set HEXMAP_DATA)")

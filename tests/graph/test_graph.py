@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import networkx as nx
@@ -605,3 +606,21 @@ def test_many_obstacles_and_far_cells(case):
     found = graph.clearance_at(flat, "cell")
     assert np.allclose(found, away, rtol=1e-7, atol=1e-7 * case.lattice.resolution)
     assert np.array_equal(found, graph.clearance("cell")[flat])
+
+
+def test_threads_may_share_a_fresh_graph() -> None:
+    # What a graph finds when it is first asked is asked for by several threads at once.
+    rng = np.random.default_rng(1)
+    states = rng.random((30, 30)) >= 0.1
+    lattice = Lattice.named("A2")
+    expected = LatticeGraph.from_states(lattice, [0, 0], states).with_clearance(1.5).free
+    labels = LatticeGraph.from_states(lattice, [0, 0], states).components()
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(60):
+            graph = LatticeGraph.from_states(lattice, [0, 0], states)
+            shrunk = [pool.submit(graph.with_clearance, 1.5) for _ in range(6)]
+            parts = [pool.submit(graph.components) for _ in range(2)]
+            fields = [pool.submit(graph.clearance, to) for to in ("centre", "cell")]
+            assert all((future.result().free == expected).all() for future in shrunk)
+            assert all((future.result() == labels).all() for future in parts)
+            assert all(np.isfinite(future.result()).all() for future in fields)

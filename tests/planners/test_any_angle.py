@@ -19,8 +19,11 @@ from hexmap.graph.moves import swept_cells
 from hexmap.lattice.lattice import Lattice
 from planners import NoPath, Path, astar
 from planners.any_angle import _kernels as kernels
-from planners.any_angle.theta_star import any_angle, line_of_sight, make_view, touched_cells
+from planners.any_angle import _theta_kernels as theta
+from planners.any_angle import _wedge_kernels as wedges
+from planners.any_angle.theta_star import any_angle, line_of_sight, make_view, search_path, touched_cells
 from tests.lattices import CASES, EXAMPLES, JIT, PART, SHEARED, Case
+from tests.planners import hard
 from tests.planners.test_planners import NEIGHBOURHOODS, random_graph, read_movingai
 
 EVERY = CASES + SHEARED
@@ -326,3 +329,76 @@ def test_arena_is_never_longer_than_the_published_octile_optimum(data_dir: FileP
         path = any_angle(graph, start, goal)
         rounding = 10.0 ** -len(octile.partition(".")[2])
         assert math.dist(start, goal) * (1 - 1e-12) <= path.length <= float(octile) + rounding
+
+
+# ---------------------------------------------------------------------- no cliff: corridors, spirals, sparse fields
+
+PLANE = [case for case in EVERY if case.dim == 2]
+
+
+@pytest.mark.parametrize("case", PLANE, ids=str)
+@settings(max_examples=EXAMPLES // 3, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), obstacles=st.sampled_from([0.02, 0.1, 0.3]))
+def test_wedges_tell_what_lines_tell(case: Case, seed: int, obstacles: float) -> None:
+    # All cells around one, the nearest first, so that each has the wedges of those before it to go by.
+    graph = random_graph(case, "extended", seed, obstacles, side=30 if JIT else 12)
+    free = np.flatnonzero(graph.free)
+    if len(free) < 2:
+        return
+    view, tree = make_view(graph), np.zeros(graph.size, theta.TREE)
+    parent = int(np.random.default_rng(seed).choice(free))
+    centre = graph.flat_to_index(np.array([parent]))[0].astype(np.int64)
+    shifts = np.ascontiguousarray(graph.moves, dtype=np.int64)
+    displacements = graph.flat_to_index(free).astype(np.int64) - centre
+    seen = line_of_sight(graph, centre, displacements + centre)
+    assert isinstance(seen, np.ndarray)
+    for i in np.argsort(np.abs(displacements).max(axis=1), kind="stable"):
+        cell, v = int(free[i]), displacements[i]
+        if cell == parent:
+            continue
+        tree[cell]["parent"] = parent
+        found = wedges.sees_by_wedge(
+            graph.free, view.strides, view.shape, view.generators, view.gram, view.reach, view.touch,
+            centre - graph.low, v, cell, parent, graph.offsets, shifts, tree,
+        )  # fmt: skip
+        refused = tree[cell]["refused"] == parent + 1
+        assert (found > 0) == bool(tree[cell]["mark"] & wedges.WEDGE)
+        assert found != 0 and not (found > 0 and refused)
+        if found > 0:
+            assert seen[i], (centre, v)
+        elif refused:
+            assert not seen[i], (centre, v)
+
+
+@pytest.mark.parametrize("name", ["Z2", "A2"])
+@pytest.mark.parametrize("label", hard.MAPS)
+def test_hard_maps_take_a_few_looks_a_cell(name: str, label: str) -> None:
+    # Counted, not timed: whole lines would be hundreds of looks a cell, and A* is what expansions are held to.
+    side = 400 if JIT else 40
+    if not JIT and label.endswith("40 wide"):
+        return
+    states, start, goal = hard.MAPS[label](side)
+    graph = LatticeGraph.from_states(Lattice.named(name), [0, 0], states, neighbourhood=8 if name == "Z2" else 6)
+    path, moved = any_angle(graph, start, goal), astar(graph, start, goal)
+    check_any_angle(graph, path, np.array(start), np.array(goal))
+    assert path.length <= moved.length * (1 + 1e-12)
+    assert path.expansions <= 2 * moved.expansions + 1100
+    ends = graph.index_to_flat(np.array([start, goal])).tolist()
+    raw, effort = search_path(graph, *ends, tighten=False)
+    assert len(raw) >= 2
+    if JIT and effort.expansions > 10_000:
+        assert effort.scanned < 100 * effort.expansions
+
+
+@pytest.mark.parametrize("case", PLANE, ids=str)
+def test_a_weight_never_makes_paths_longer_than_those_of_astar(case: Case) -> None:
+    side = 250 if JIT else 30
+    for share in (0.02, 0.1):
+        states = (np.random.default_rng(7).random((side, side)) >= share).astype(np.uint8)
+        states[0, 0] = states[-1, -1] = states[side // 3, 0] = states[side // 2, -1] = 1
+        graph = LatticeGraph.from_states(case.lattice, [0, 0], states)
+        for start, goal in (([0, 0], [side - 1, side - 1]), ([side // 3, 0], [side // 2, side - 1])):
+            path = any_angle(graph, start, goal)
+            check_any_angle(graph, path, np.array(start), np.array(goal))
+            assert path.length <= astar(graph, start, goal).length * (1 + 1e-12)
+            assert any_angle(graph, start, goal).cells.tolist() == path.cells.tolist()

@@ -571,3 +571,72 @@ def test_moves_left_out_are_on_no_cheapest_path(case: Case, neighbourhood: str |
         for flat in np.flatnonzero(np.isfinite(field))[1 :: 1 if JIT else 5].tolist():
             path = astar(graph, cells[0], graph.flat_to_index([flat])[0])
             assert path.cost == pytest.approx(field[flat], rel=1e-12, abs=1e-15)
+
+
+# ---------------------------------------------------------------------- terrain of any spread
+
+
+def test_paths_end_where_a_sum_absorbs_the_step() -> None:
+    # From 5e16 on a step of 1 changes no sum: cells are equally far, and could be each other's parents.
+    terrain = np.ones((1, 6))
+    terrain[0, 0] = 1e17
+    graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((1, 6), bool)).with_terrain(terrain)
+    field = dijkstra(graph, [0, 0])
+    assert field.path_to([0, 3]).cells.tolist() == [[0, 0], [0, 1], [0, 2], [0, 3]]
+    assert field.path_to([0, 5]).cells[:, 1].tolist() == list(range(6))
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_every_chain_of_parents_ends_in_a_source(case: Case) -> None:
+    rng = np.random.default_rng(2)
+    side = (20 if case.dim == 2 else 7) if JIT else 5
+    states = rng.random([side] * case.dim) >= 0.1
+    states[(0,) * case.dim] = True
+    for decades in (3.0, 17.0, 40.0):
+        terrain = 10.0 ** rng.uniform(0.0, decades, states.shape)
+        terrain[(0,) * case.dim] = terrain.max()
+        graph = LatticeGraph.from_states(case.lattice, [0] * case.dim, states).with_terrain(terrain)
+        field = dijkstra(graph, [0] * case.dim)
+        source = int(graph.index_to_flat(np.zeros((1, case.dim), int))[0])
+        for at in np.flatnonzero(np.isfinite(field.distance)).tolist():
+            steps = 0
+            while field.parents[at] < len(graph.moves):
+                at -= int(graph.offsets[field.parents[at]])
+                steps += 1
+                assert steps < graph.size
+            assert at == source
+        for cell in graph.flat_to_index(np.flatnonzero(np.isfinite(field.distance)))[::7]:
+            path = field.path_to(cell)
+            assert path.cells[0].tolist() == [0] * case.dim and path.cells[-1].tolist() == cell.tolist()
+
+
+def test_terrain_over_many_decades_costs_a_few_pushes_a_cell() -> None:
+    side = 150 if JIT else 20
+    rng = np.random.default_rng(0)
+    graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((side, side), bool), neighbourhood=8)
+    for decades in (3, 6, 12):
+        rough = graph.with_terrain(10.0 ** rng.uniform(0, decades, (side, side)))
+        field = dijkstra(rough, [0, 0])
+        assert field.settled == side * side
+        assert field.pushes < 2 * side * side
+        matrix, nodes = rough.to_csr()
+        first = int(np.searchsorted(nodes, rough.index_to_flat(np.array([[0, 0]]))[0]))
+        expected = scipy_dijkstra(matrix, indices=first)
+        np.testing.assert_allclose(field.distance[nodes], expected, rtol=1e-12)
+        # Up to a limit, and to a goal, the same numbers.
+        limit = float(np.median(expected))
+        near = dijkstra(rough, [0, 0], limit=limit)
+        assert (near.distance[nodes] == np.where(field.distance[nodes] <= limit, field.distance[nodes], np.inf)).all()
+        goal = dijkstra(rough, [0, 0], goals=[side // 2, side // 2])
+        assert goal.distance_to(np.array([[side // 2] * 2])) == field.distance_to(np.array([[side // 2] * 2]))
+        final = np.isfinite(goal.distance)
+        assert (goal.distance[final] == field.distance[final]).all()
+        with pytest.raises(NoPath):
+            near.path_to(rough.flat_to_index(nodes[[np.argmax(expected)]])[0])
+
+
+def test_terrain_whose_costs_would_overflow_is_refused() -> None:
+    graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], np.ones((4, 5), bool))
+    with pytest.raises(ArgumentError, match="overflow"):
+        graph.with_terrain(np.full((4, 5), 1e308))
+    assert astar(graph.with_terrain(np.full((4, 5), 1e300)), [0, 0], [3, 4]).cost == pytest.approx(7e300)

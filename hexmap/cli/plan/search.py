@@ -74,6 +74,7 @@ def _warm_up(run: Callable[[LatticeGraph, Any, Any], PlannedPath], graph: Lattic
 def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
     """Return the kernels whose compilation the search would wait for longest."""
     from planners.any_angle import _kernels as _anyangle_kernels
+    from planners.any_angle import _theta_kernels
     from planners.search import _astar_kernels, _bidirectional_kernels, _canonical_kernels
     from planners.search import _dijkstra_kernels as _field_kernels
 
@@ -82,7 +83,7 @@ def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
     own = {
         Planner.astar: heuristic,
         Planner.dijkstra: _field_kernels.wavefront if alike else _field_kernels.buckets,
-        Planner.any_angle: _anyangle_kernels.search,
+        Planner.any_angle: _theta_kernels.search,
         Planner.canonical: _canonical_kernels.search,
     }
     return [own[query.planner], *([_anyangle_kernels.farthest] if query.shortcut else [])]
