@@ -46,6 +46,7 @@ MAPS = {
     "spiral, 3 wide": lambda side: spiral(side, 3),
     "spiral, 10 wide": lambda side: spiral(side, 10),
     "spiral, 40 wide": lambda side: spiral(side, 40),
+    "serpentine, 1 wide": lambda side: serpentine(side, 1),
     "serpentine, 10 wide": lambda side: serpentine(side, 10),
     "serpentine, 1/5 wide": lambda side: serpentine(side, side // 5),
     "0.1 % blocked": lambda side: sparse(side, 0.001),

@@ -385,7 +385,8 @@ def test_hard_maps_take_a_few_looks_a_cell(name: str, label: str) -> None:
     assert path.expansions <= 2 * moved.expansions + 1100
     ends = graph.index_to_flat(np.array([start, goal])).tolist()
     raw, effort = search_path(graph, *ends, tighten=False)
-    assert len(raw) >= 2
+    # Straight lines, not moves: making them taut must not become the dear part.
+    assert 2 <= len(raw) <= 0.2 * len(moved) + 10
     if JIT and effort.expansions > 10_000:
         assert effort.scanned < 100 * effort.expansions
 
