@@ -217,9 +217,7 @@ def cropped(map: Map, crop: str | None, path: Path) -> Map:
     if low is None or high is None:
         return map
     if len(low) != map.lattice.dim:
-        raise ArgumentError(
-            f"{path}: the map is of dimension {map.lattice.dim}; --crop takes {2 * map.lattice.dim} numbers"
-        )
+        raise ArgumentError(f"--crop takes {2 * map.lattice.dim} numbers: {path} is a map of dimension {map.lattice.dim}")
     part = map.crop(low, high)
     if part.bounds() is None:
         raise ArgumentError(f"{path}: no cell of the map lies in the box {crop}")

@@ -122,7 +122,8 @@ def one_map(label: str, free: np.ndarray, ends: np.ndarray, kind: tuple[str, int
 
 def hard_map(label: str, side: int, name: str, neighbourhood: int) -> list[object]:
     """Return a row of the table of hard maps."""
-    states, start, goal = hard.MAPS[label](side)
+    states, *ends_of = hard.MAPS[label](side)
+    start, goal = (list(end) for end in ends_of)
     graph = LatticeGraph.from_states(Lattice.named(name), [0, 0], states, neighbourhood=neighbourhood)
     source, target = graph.index_to_flat(np.array([start, goal])).tolist()
     moving, straight = [], []

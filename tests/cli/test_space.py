@@ -67,11 +67,11 @@ def test_what_is_said_of_wrong_options(tmp_path: Path, capsys: pytest.CaptureFix
     save_map(room, room_in_space(Lattice.named("D3", 0.25), beams=3_000))
     for arguments, code, text in (
         (("show", room, "-o", tmp_path / "a.png", "--slice", "x=1"), 2, "a slice is at a height such as z=1.2"),
-        (("show", room, "-o", tmp_path / "a.png", "--slice", "90"), 1, "no known cell is at the height of 90 m"),
-        (("show", room, "-o", tmp_path / "a.glb", "--slice", "1"), 1, "a slice is drawn as .png"),
+        (("show", room, "-o", tmp_path / "a.png", "--slice", "90"), 2, "no known cell is at the height of 90 m"),
+        (("show", room, "-o", tmp_path / "a.glb", "--slice", "1"), 2, "a slice is drawn as .png"),
         (("show", room, "--viewer", "--slice", "1"), 2, "a slice is a picture"),
-        (("export", room, "-o", tmp_path / "a.yaml"), 1, "--height LOW HIGH"),
-        (("export", room, "-o", tmp_path / "a.bt", "--crop", "0,0,1,1"), 1, "--crop takes 6 numbers"),
+        (("export", room, "-o", tmp_path / "a.yaml"), 2, "--height LOW HIGH"),
+        (("export", room, "-o", tmp_path / "a.bt", "--crop", "0,0,1,1"), 2, "--crop takes 6 numbers"),
         (
             ("export", room, "-o", tmp_path / "a.bt", "--crop", "50,50,50,60,60,60"),
             1,

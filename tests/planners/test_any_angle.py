@@ -377,7 +377,8 @@ def test_hard_maps_take_a_few_looks_a_cell(name: str, label: str) -> None:
     side = 400 if JIT else 40
     if not JIT and label.endswith("40 wide"):
         return
-    states, start, goal = hard.MAPS[label](side)
+    states, *ends_of = hard.MAPS[label](side)
+    start, goal = (list(end) for end in ends_of)
     graph = LatticeGraph.from_states(Lattice.named(name), [0, 0], states, neighbourhood=8 if name == "Z2" else 6)
     path, moved = any_angle(graph, start, goal), astar(graph, start, goal)
     check_any_angle(graph, path, np.array(start), np.array(goal))

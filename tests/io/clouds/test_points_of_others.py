@@ -182,7 +182,7 @@ def test_the_command_line_takes_columns_and_offset(tmp_path: Path) -> None:
     done = show("--columns", "1,2,3", "--offset", "500000,5400000,0", "--crop", "499990,5399990,-5,500010,5400010,5")
     assert done.returncode == 0 and done.stderr == "", done.stderr
     done = show("--columns", "1,2,3", "--offset", "500000,north")
-    assert done.returncode == 1 and "--offset takes two or three numbers with commas" in done.stderr
+    assert done.returncode == 2 and "--offset takes two or three numbers with commas" in done.stderr
 
 
 def test_points_are_read_from_regular_files_or_asked_for_pipes(tmp_path: Path) -> None:
