@@ -217,7 +217,8 @@ def cropped(map: Map, crop: str | None, path: Path) -> Map:
     if low is None or high is None:
         return map
     if len(low) != map.lattice.dim:
-        raise ArgumentError(f"--crop takes {2 * map.lattice.dim} numbers: {path} is a map of dimension {map.lattice.dim}")
+        n = map.lattice.dim
+        raise ArgumentError(f"--crop takes {2 * n} numbers: {path} is a map of dimension {n}")
     part = map.crop(low, high)
     if part.bounds() is None:
         raise ArgumentError(f"{path}: no cell of the map lies in the box {crop}")

@@ -133,7 +133,8 @@ def test_two_lidars_on_one_topic_are_told_apart_by_their_frames(tmp_path: Path) 
     log, scans = read(bag.path)
     assert len(scans) == 3 and all(np.array_equal(s.points, room(60, 0)) for s in scans)
     assert log.warnings == [
-        "run: 3 scans of another frame left out, the first at message 2 ('right' and not 'left'); choose with --scan-frame"
+        "run: 3 scans of another frame left out, the first at message 2 ('right' and not 'left'); "
+        "choose with --scan-frame"
     ]
     for frame in ("right", "/right"):
         log, scans = read(bag.path, frame=frame)
