@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, HexmapError
 from hexmap.io.lidar.lidar_log import LidarLogSettings
 from hexmap.lattice.lattice import Lattice
@@ -61,6 +62,11 @@ class LidarSettings:
         if isinstance(self.lattice, str):
             return Lattice.named(self.lattice, self.resolution)
         return Lattice(np.array(self.lattice))
+
+    def in_range(self, points: FloatArray) -> FloatArray:
+        """Return the points (N, 3) of the sensor's frame in the range that is mapped."""
+        squared = (points**2).sum(axis=1)
+        return points[(squared >= self.min_range**2) & (squared <= limit_of(self.max_range) ** 2)]
 
     def make_builder(self) -> MapBuilder:
         """Return the empty builder that the settings describe."""

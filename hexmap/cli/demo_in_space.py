@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hexmap.cli.build_lidar import LidarOutputs, build_lidar, lidar_settings
+from hexmap.cli.build_lidar import LidarOutputs, build_lidar
 from hexmap.cli.console import first_run_note, progress_line, say, wrote
+
+if TYPE_CHECKING:
+    from localisation.lidar_settings import LidarSettings
 
 __all__ = ["demo_in_space"]
 
@@ -16,7 +20,7 @@ _AZIMUTHS = 512
 _LOOKED_FOR = 15
 
 
-def demo_in_space(output: Path, lattice: str, seed: int) -> None:
+def demo_in_space(output: Path, settings: LidarSettings, seed: int) -> None:
     """Simulate a run, map it on a lattice of space, draw, export, score it, and find its scans in the map."""
     from hexmap.drawing.slice_drawing import draw_slice
     from hexmap.io.map_file import load_map
@@ -43,7 +47,6 @@ def demo_in_space(output: Path, lattice: str, seed: int) -> None:
     wrote(run, "ROS 2 bag")
     wrote(truth, "true poses")
     path, poses, picture = output / "warehouse.parquet", output / "warehouse.tum", output / "warehouse.png"
-    settings = lidar_settings({}, {"lattice": lattice})
     build_lidar(run, settings, LidarOutputs(path, poses, picture), None, None, True)
     states = load_map(path).state(settings.rule)
     cut, octomap = output / "warehouse-slice.png", output / "warehouse.bt"

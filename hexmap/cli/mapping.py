@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli.build import Associate, Readings, build_and_report
+from hexmap.cli.build_lidar import lidar_settings
 from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, warn, wrote
 
 if TYPE_CHECKING:
@@ -294,14 +295,16 @@ def demo(
     from localisation.settings import MappingSettings
 
     settings = replace(MappingSettings(), lattice=lattice or "A2") if not space else None
+    in_space = lidar_settings({}, {"lattice": lattice or "D3"}) if space else None
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileAccessError(f"{output}: cannot be made: {error.strerror}") from error
-    if settings is None:
+    if settings is None or in_space is not None:
         from hexmap.cli.demo_in_space import demo_in_space
 
-        demo_in_space(output, lattice or "D3", seed)
+        assert in_space is not None
+        demo_in_space(output, in_space, seed)
         return
     log, truth = output / "office.clf", output / "office.truth.tum"
     summary = write_log(log, make_building("office"), truth, seed=seed)

@@ -168,8 +168,7 @@ class LidarLocaliser:
         if scan.dim != 3:
             raise ArgumentError("a LiDAR's scan has points in space, not in the plane")
         if self._surfaces is None:
-            squared = (scan.points**2).sum(axis=1)
-            points = scan.points[squared >= self._settings.min_range**2]
+            points = self._settings.in_range(scan.points)
             self._prepare(points if len(points) else np.ones((1, 3)))
         if self._odometry is None:
             return self._find(scan)
@@ -209,7 +208,7 @@ class LidarLocaliser:
     def _find(self, scan: Scan) -> Estimate:
         """Look for a scan in the whole map."""
         odometry = LidarOdometry(self._settings)
-        points = odometry.in_range(scan.points)
+        points = self._settings.in_range(scan.points)
         lattice = self._matcher.lattice
         thin = first_of_each_cell(points, lattice.scaled(1.0 / 3.0))
         lost = Estimate(scan.stamp, scan.line, TrackState.lost)

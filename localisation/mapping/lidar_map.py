@@ -27,7 +27,6 @@ from localisation.matching.gravity import levelling
 from localisation.matching.surfaces import SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry
 from localisation.odometry.sweep import Velocity, deskewed
-from localisation.settings import limit_of
 from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from localisation.slam.settings import LoopSettings
@@ -262,10 +261,7 @@ class _Drawing:
 
     def touch(self, scan: Scan, poses: list[Pose], stamps: FloatArray, k: int) -> Pose:
         """Return the pose of scan ``k`` on the surfaces, or what it is where they do not hold it."""
-        points = deskewed(scan, _velocity(poses, stamps, k))
-        squared = (points**2).sum(axis=1)
-        limit = limit_of(self._settings.max_range)
-        points = points[(squared >= self._settings.min_range**2) & (squared <= limit**2)]
+        points = self._settings.in_range(deskewed(scan, _velocity(poses, stamps, k)))
         drawn = self._surfaces.draw(first_of_each_cell(points, self._thin), poses[k], farthest=_TOUCH)
         return drawn.pose if drawn.converged else poses[k]
 

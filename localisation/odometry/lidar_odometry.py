@@ -198,19 +198,13 @@ class LidarOdometry:
             velocity = odometry._velocity
         return velocity
 
-    def in_range(self, points: FloatArray) -> FloatArray:
-        """Return the points (N, 3) in the range that is mapped."""
-        squared = (points**2).sum(axis=1)
-        limit = limit_of(self.settings.max_range)
-        return points[(squared >= self.settings.min_range**2) & (squared <= limit**2)]
-
     def register(self, scan: Scan) -> RegisteredSweep:
         """Return the next scan with its pose.
 
         Raises:
             BoundsError: a point is out of range; the scan is as if it had not been.
         """
-        points = self.in_range(deskewed(scan, self._velocity))
+        points = self.settings.in_range(deskewed(scan, self._velocity))
         if self.surfaces is None:
             self._begin(points if len(points) else np.ones((1, 3)))
         assert self.surfaces is not None
@@ -223,7 +217,7 @@ class LidarOdometry:
         if scan.times is not None:
             # Now that the motion is known, once more by this one.
             moved = replace(scan, points=deskewed(scan, self._since(scan.stamp, predicted)), times=None)
-            thin = first_of_each_cell(self.in_range(moved.points), self._thin)
+            thin = first_of_each_cell(self.settings.in_range(moved.points), self._thin)
         else:
             moved = scan
         drawn = self.surfaces.draw(thin, predicted) if len(self.surfaces) else None
@@ -287,15 +281,14 @@ class LidarOdometry:
 
     def begin_at(self, scan: Scan, pose: Pose, surfaces: SurfaceMap | None) -> None:
         """Begin at a scan whose pose T_map_sensor is known, on the surfaces of a map."""
-        points = self.in_range(scan.points)
+        points = self.settings.in_range(scan.points)
         self._pose, self._stamp = pose, scan.stamp
         self._recent.clear()
         self._begin(points if len(points) else np.ones((1, 3)))
+        self._recent.append((first_of_each_cell(points, self._thin), pose))
+        self._kiss.local_map.update(self._recent[-1][0], pose.matrix())
         if surfaces is not None:
             self.surfaces = surfaces
-        thin = first_of_each_cell(points, self._thin)
-        self._recent.append((thin, pose))
-        self._begin_kiss_icp()
 
     def move_to(self, pose: Pose) -> None:
         """Go on from another pose of the sensor at the last scan: the map has moved under it."""

@@ -180,7 +180,7 @@ class LidarSlam:
 
     def _keep(self, sweep: RegisteredSweep, pose: Pose) -> None:
         """Add a sweep to the surfaces and to the submap that is being made."""
-        points = first_of_each_cell(self._odometry.in_range(sweep.scan.points), self._thin)
+        points = first_of_each_cell(self.settings.in_range(sweep.scan.points), self._thin)
         surfaces = self._odometry.surfaces
         assert surfaces is not None
         surfaces.add(pose.apply(points))
