@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from localisation.slam.loop_closer import LoopRecord
+from localisation.slam.loop_search import LoopRecord
 from localisation.slam.pose_graph import PoseGraph
 from localisation.slam.settings import LoopSettings
 from localisation.slam.slam import Slam, SlamResult

@@ -9,8 +9,7 @@ leaves open: gravity pulls the same everywhere, and what a sensor's attitude has
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,8 +25,8 @@ from localisation.matching.search_region import SearchRegion
 from localisation.matching.surfaces import Drawn
 from localisation.slam import spatial
 from localisation.slam.lidar_submap import LevelSubmap, LidarSubmap, SubmapShelf
-from localisation.slam.loop_closer import LoopRecord
-from localisation.slam.pose_graph import Edge, PoseGraph
+from localisation.slam.loop_search import Candidate, LoopRecord, LoopSearch
+from localisation.slam.pose_graph import PoseGraph
 from localisation.slam.settings import LoopSettings
 
 __all__ = ["LidarLoopCloser", "drawn_covariance"]
@@ -66,44 +65,19 @@ def drawn_covariance(drawn: Drawn) -> FloatArray:
     return np.asarray(_DEPENDENT * (turn @ covariance @ turn.T) + floor)
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """An old submap, T_i_j as a row (12,), and how sure that is (6, 6)."""
-
-    i: int
-    pose: FloatArray
-    covariance: FloatArray
-
-    @property
-    def sigma(self) -> tuple[float, float]:
-        """Standard deviations along the worst axes: metres, radians."""
-        c = self.covariance
-        return math.sqrt(float(np.linalg.eigvalsh(c[:3, :3])[-1])), math.sqrt(float(np.linalg.eigvalsh(c[3:, 3:])[-1]))
-
-
-class LidarLoopCloser:
-    """Looks for loops from each new submap to the old ones.
-
-    Attributes:
-        records: everything that was tried, in order.
-    """
+class LidarLoopCloser(LoopSearch):
+    """Looks for loops in space."""
 
     def __init__(
         self, graph: PoseGraph, submaps: list[LidarSubmap], shelf: SubmapShelf, fine: Lattice, settings: LoopSettings
     ) -> None:
         """Take the graph and the submaps, which grow; ``fine`` is the lattice of the map's finest level."""
-        from scipy.special import gammaincinv
-
-        self._graph, self._submaps, self._shelf, self._fine = graph, submaps, shelf, fine
-        self.settings = settings
-        # Of chi-squared with six degrees of freedom.
-        self.limit = 2.0 * float(gammaincinv(3.0, settings.probability))
-        self.records: list[LoopRecord] = []
-        self._waiting: list[int] = []
+        super().__init__(graph, settings)
+        self._submaps, self._shelf, self._fine = submaps, shelf, fine
 
     # ------------------------------------------------------------------ candidates
 
-    def candidates(self, j: int) -> list[_Candidate]:
+    def candidates(self, j: int) -> list[Candidate]:
         """Return the old submaps in which submap ``j`` may lie, the nearest first: one of each earlier visit."""
         last = j - _NEIGHBOURS
         if last < 0:
@@ -124,7 +98,7 @@ class LidarLoopCloser:
             pose = spatial.between(poses[i], poses[j])
             # Held at j, it is the covariance of i: as seen from i it is the same motion in the frame of j.
             A = spatial.adjoint(spatial.invert(pose))
-            candidate = _Candidate(i, pose, A @ covariance @ A.T)
+            candidate = Candidate(i, pose, A @ covariance @ A.T)
             metres, radians = candidate.sigma
             known = _KNOWN * self._fine.resolution
             if metres > known or radians * self._submaps[j].reach > 2.0 * known:
@@ -132,68 +106,9 @@ class LidarLoopCloser:
         found.sort(key=lambda pair: (pair[0], pair[1].i))
         return [candidate for _, candidate in found[: settings.searches]]
 
-    # ------------------------------------------------------------------ one after the other
-
-    def look(self, j: int) -> list[int]:
-        """Look for loops from submap ``j``; those that are believed go into the graph; returns their edges' numbers."""
-        new = []
-        for candidate in self.candidates(j):
-            record = self._try(candidate, j)
-            if record.reason == "waiting":
-                record, partner = self._confirm(record)
-                if partner is not None:
-                    self.records[partner] = replace(self.records[partner], accepted=True, reason="accepted")
-                    new.append(self._add(self.records[partner]))
-            self.records.append(record)
-            if record.accepted:
-                new.append(self._add(record))
-            elif record.reason == "waiting":
-                self._waiting.append(len(self.records) - 1)
-        return new
-
-    def finish(self) -> None:
-        """Give up what still waits for a second loop."""
-        for number in self._waiting:
-            self.records[number] = replace(self.records[number], reason="no second loop agrees")
-        self._waiting.clear()
-
-    def throw_out(self, edges: Sequence[int]) -> None:
-        """Note the loops that the graph has thrown out."""
-        pairs = {(self._graph.edges[e].i, self._graph.edges[e].j) for e in edges}
-        for k, record in enumerate(self.records):
-            if record.accepted and (record.i, record.j) in pairs:
-                self.records[k] = replace(record, accepted=False, reason="thrown out by the graph")
-
-    def _add(self, record: LoopRecord) -> int:
-        return self._graph.add_edge(
-            Edge(record.i, record.j, np.array(record.pose), np.array(record.covariance), loop=True)
-        )
-
-    def _confirm(self, record: LoopRecord) -> tuple[LoopRecord, int | None]:
-        """Look for a loop that waits and agrees with this one around their cycle; returns its number."""
-        for number in self._waiting:
-            other = self.records[number]
-            if abs(other.j - record.j) >= self.settings.confirm_nodes and self._cycle(other, record) <= self.limit:
-                self._waiting.remove(number)
-                return replace(record, accepted=True, reason="accepted"), number
-        return record, None
-
-    def _cycle(self, a: LoopRecord, b: LoopRecord) -> float:
-        """Return the squared normalised error around the cycle of two loops and the chain between their ends."""
-        poses = self._graph.poses
-        step_i, step_j = spatial.between(poses[a.i], poses[b.i]), spatial.between(poses[a.j], poses[b.j])
-        pose_a, pose_b = np.array(a.pose), np.array(b.pose)
-        to_b = spatial.adjoint(spatial.invert(step_j))
-        of_a = to_b @ np.array(a.covariance) @ to_b.T
-        of_j = self._graph.relative_covariances(a.j, [b.j])[0]
-        along = spatial.adjoint(spatial.invert(pose_b))
-        of_i = along @ self._graph.relative_covariances(a.i, [b.i])[0] @ along.T
-        off = spatial.small(spatial.between(spatial.compose(pose_a, step_j), spatial.compose(step_i, pose_b)))
-        return float(off @ np.linalg.solve(of_a + of_j + of_i + np.array(b.covariance), off))
-
     # ------------------------------------------------------------------ one candidate
 
-    def _try(self, candidate: _Candidate, j: int) -> LoopRecord:
+    def _try(self, candidate: Candidate, j: int) -> LoopRecord:
         """Search, and put the match through the tests, the cheap ones first."""
         T_map_i, T_map_j = (spatial.to_pose(self._graph.pose(k)) for k in (candidate.i, j))
         old = self._shelf.of(self._submaps[candidate.i], T_map_i)
@@ -226,14 +141,14 @@ class LidarLoopCloser:
             return replace(record, reason="walls where the other is free")
         return self._check_further(record, old, new, candidate, there, row)
 
-    def _is_near(self, candidate: _Candidate) -> bool:
+    def _is_near(self, candidate: Candidate) -> bool:
         """Tell whether a submap lies so near to where it is expected that it can be drawn without a search."""
         metres, radians = candidate.sigma
         lever = self._submaps[candidate.i].reach
         return self.settings.sigmas * math.hypot(metres, radians * lever) < _NEAR * self._shelf.lattice.resolution
 
     def _check_further(
-        self, record: LoopRecord, old: LevelSubmap, new: LevelSubmap, candidate: _Candidate, there: Drawn,
+        self, record: LoopRecord, old: LevelSubmap, new: LevelSubmap, candidate: Candidate, there: Drawn,
         row: FloatArray,
     ) -> LoopRecord:  # fmt: skip
         """Draw it the other way round, and compare with what the graph knew."""
@@ -259,7 +174,7 @@ class LidarLoopCloser:
         return replace(record, accepted=True, reason="accepted")
 
     def _search(
-        self, old: LevelSubmap, new: LevelSubmap, expected: Pose, candidate: _Candidate
+        self, old: LevelSubmap, new: LevelSubmap, expected: Pose, candidate: Candidate
     ) -> Match | None:
         """Search the new submap in the window of three standard deviations around where it is expected."""
         metres, radians = candidate.sigma

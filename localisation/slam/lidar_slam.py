@@ -23,7 +23,7 @@ from localisation.odometry.sweep import Velocity
 from localisation.slam import spatial
 from localisation.slam.lidar_loops import LidarLoopCloser, drawn_covariance
 from localisation.slam.lidar_submap import LidarSubmap, Rays, SubmapShelf
-from localisation.slam.loop_closer import LoopRecord
+from localisation.slam.loop_search import LoopRecord
 from localisation.slam.pose_graph import Edge, PoseGraph, import_gtsam
 from localisation.slam.settings import LoopSettings
 

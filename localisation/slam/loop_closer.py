@@ -8,8 +8,7 @@ passes the others; what was tried is recorded with its numbers and the reason.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,11 +23,12 @@ from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.refinement import refine_on
 from localisation.matching.search_region import SearchRegion
 from localisation.slam import planar
-from localisation.slam.pose_graph import Edge, PoseGraph
+from localisation.slam.loop_search import Candidate, LoopRecord, LoopSearch
+from localisation.slam.pose_graph import PoseGraph
 from localisation.slam.settings import LoopSettings
 from localisation.slam.submap import SMALL_WINDOW, Cells, Submap, SubmapCells, in_view
 
-__all__ = ["LoopCloser", "LoopRecord", "local_covariance", "some_points"]
+__all__ = ["LoopCloser", "local_covariance", "some_points"]
 
 # Nodes between two submaps that have a scan in common or one beside the other's.
 _NEIGHBOURS = 3
@@ -46,63 +46,6 @@ _KNOWN = 1.0
 _LEAST_IN_VIEW = 0.5
 
 
-@dataclass(frozen=True)
-class LoopRecord:
-    """What was tried, and what came of it; numbers that were not reached are None.
-
-    Attributes:
-        i: node of the old submap.
-        j: node of the new one, which is looked for.
-        accepted: whether the loop is in the graph.
-        reason: why not, or "accepted".
-        sigma_metres: standard deviation of where j lay in i before, along the worst axis.
-        sigma_radians: of its heading.
-        score: cells that coincide at best.
-        total: cells there were.
-        gap: by how much a better pose could score more.
-        margin: by how much the best outscores all others in the window, 0 to 1.
-        overlap: share of the cells of one that meet a wall of the other.
-        contradicted: share of the walls known to the other that are free there.
-        reverse_metres: by how much the search of i in j differs.
-        reverse_radians: the same for the heading.
-        chi2: squared normalised distance from where the graph had it.
-        pose: (3,) T_i_j.
-        covariance: (3, 3) of a small motion in the frame of j.
-    """
-
-    i: int
-    j: int
-    accepted: bool
-    reason: str
-    sigma_metres: float
-    sigma_radians: float
-    score: int | None = None
-    total: int | None = None
-    gap: int | None = None
-    margin: float | None = None
-    overlap: float | None = None
-    contradicted: float | None = None
-    reverse_metres: float | None = None
-    reverse_radians: float | None = None
-    chi2: float | None = None
-    pose: tuple[float, ...] | None = None
-    covariance: tuple[tuple[float, ...], ...] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """An old submap, where the new one lies in it (3,), and how sure that is (3, 3)."""
-
-    i: int
-    pose: FloatArray
-    covariance: FloatArray
-
-    @property
-    def sigma(self) -> tuple[float, float]:
-        """Standard deviations: metres along the worst axis, radians."""
-        return math.sqrt(float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1])), math.sqrt(self.covariance[2, 2])
-
-
 def local_covariance(covariance: FloatArray, pose: Pose) -> FloatArray:
     """Return a covariance of translation and heading in the outer frame as one of small motions in the inner frame."""
     turn = np.eye(3)
@@ -110,28 +53,19 @@ def local_covariance(covariance: FloatArray, pose: Pose) -> FloatArray:
     return np.asarray(turn @ covariance @ turn.T)
 
 
-class LoopCloser:
-    """Looks for loops from each new submap to the old ones.
-
-    Attributes:
-        records: everything that was tried, in order.
-    """
+class LoopCloser(LoopSearch):
+    """Looks for loops in the plane."""
 
     def __init__(self, graph: PoseGraph, submaps: list[Submap], cells: SubmapCells, settings: LoopSettings) -> None:
         """Take the graph and the submaps, which grow, and what makes their cells."""
-        from scipy.special import gammaincinv
-
-        self._graph, self._submaps, self._cells, self.settings = graph, submaps, cells, settings
-        # Of chi-squared with three degrees of freedom.
-        self.limit = 2.0 * float(gammaincinv(1.5, settings.probability))
-        self.records: list[LoopRecord] = []
-        self._waiting: list[int] = []
+        super().__init__(graph, settings)
+        self._submaps, self._cells = submaps, cells
         self._tried: dict[tuple[int, int], float] = {}
         self._middles: list[tuple[float, ...]] = []
 
     # ------------------------------------------------------------------ candidates
 
-    def candidates(self, j: int) -> list[_Candidate]:
+    def candidates(self, j: int) -> list[Candidate]:
         """Return the old submaps in which submap ``j`` may lie, the likeliest first: one of each earlier visit."""
         new = self._submaps[j]
         last = j - _NEIGHBOURS
@@ -153,7 +87,7 @@ class LoopCloser:
                 pose = planar.between(poses[i], poses[j])
                 # Held at j, it is the covariance of i: as seen from i it is the same motion in the frame of j.
                 A = planar.adjoint(planar.invert(pose))
-                candidate = _Candidate(i, pose, A @ covariances[i] @ A.T)
+                candidate = Candidate(i, pose, A @ covariances[i] @ A.T)
                 metres, radians = candidate.sigma
                 if self._is_known(metres, radians, new) or self._was_tried(i, j, metres):
                     continue
@@ -194,81 +128,11 @@ class LoopCloser:
         before = self._tried.get((i, j))
         return before is not None and 0.5 * before <= metres <= 2.0 * before
 
-    # ------------------------------------------------------------------ one after the other
-
-    def look(self, j: int) -> list[int]:
-        """Look for loops from submap ``j``; the edges of those that are believed go into the graph.
-
-        Returns:
-            The numbers of the new edges.
-        """
-        new = []
-        for candidate in self.candidates(j):
-            self._tried[candidate.i, j] = candidate.sigma[0]
-            record = self._try(candidate, j)
-            if record.reason == "waiting":
-                record, partner = self._confirm(record)
-                if partner is not None:
-                    new.append(self._accept(partner))
-            self.records.append(record)
-            if record.accepted:
-                new.append(self._add(record))
-            elif record.reason == "waiting":
-                self._waiting.append(len(self.records) - 1)
-        return new
-
-    def finish(self) -> None:
-        """Give up what still waits for a second loop."""
-        for number in self._waiting:
-            self.records[number] = replace(self.records[number], reason="no second loop agrees")
-        self._waiting.clear()
-
-    def throw_out(self, edges: Sequence[int]) -> None:
-        """Note the loops that the graph has thrown out."""
-        pairs = {(self._graph.edges[e].i, self._graph.edges[e].j) for e in edges}
-        for k, record in enumerate(self.records):
-            if record.accepted and (record.i, record.j) in pairs:
-                self.records[k] = replace(record, accepted=False, reason="thrown out by the graph")
-
-    def _accept(self, number: int) -> int:
-        self.records[number] = replace(self.records[number], accepted=True, reason="accepted")
-        return self._add(self.records[number])
-
-    def _add(self, record: LoopRecord) -> int:
-        edge = Edge(record.i, record.j, np.array(record.pose), np.array(record.covariance), loop=True)
-        return self._graph.add_edge(edge)
-
-    def _confirm(self, record: LoopRecord) -> tuple[LoopRecord, int | None]:
-        """Look for a loop that waits and agrees with this one around their cycle; returns its number."""
-        for number in self._waiting:
-            other = self.records[number]
-            # Of one submap in two old ones, or of two that share half, a chance would be the same.
-            if abs(other.j - record.j) < self.settings.confirm_nodes:
-                continue
-            if self._cycle(other, record) <= self.limit:
-                self._waiting.remove(number)
-                return replace(record, accepted=True, reason="accepted"), number
-        return record, None
-
-    def _cycle(self, a: LoopRecord, b: LoopRecord) -> float:
-        """Return the squared normalised error around the cycle of two loops and the chain between their ends."""
-        poses = self._graph.poses
-        step_i, step_j = planar.between(poses[a.i], poses[b.i]), planar.between(poses[a.j], poses[b.j])
-        pose_a, pose_b = np.array(a.pose), np.array(b.pose)
-        # From a's old submap to b's new one both ways round.
-        by_a, by_b = planar.compose(pose_a, step_j), planar.compose(step_i, pose_b)
-        to_b = planar.adjoint(planar.invert(step_j))
-        of_a = to_b @ np.array(a.covariance) @ to_b.T
-        of_j = self._graph.relative_covariances(a.j, [b.j])[0]
-        along = planar.adjoint(planar.invert(pose_b))
-        of_i = along @ self._graph.relative_covariances(a.i, [b.i])[0] @ along.T
-        off = planar.between(by_a, by_b)
-        return float(off @ np.linalg.solve(of_a + of_j + of_i + np.array(b.covariance), off))
-
     # ------------------------------------------------------------------ one candidate
 
-    def _try(self, candidate: _Candidate, j: int) -> LoopRecord:
+    def _try(self, candidate: Candidate, j: int) -> LoopRecord:
         """Search, and put the match through the tests, the cheap ones first."""
+        self._tried[candidate.i, j] = candidate.sigma[0]
         settings = self.settings
         old, new = self._cells.of(self._submaps[candidate.i]), self._cells.of(self._submaps[j])
         metres, radians = candidate.sigma
@@ -293,7 +157,7 @@ class LoopCloser:
         return self._check_further(record, old, new, candidate, match, pose)
 
     def _check_further(
-        self, record: LoopRecord, old: Cells, new: Cells, candidate: _Candidate, match: Match, pose: Pose
+        self, record: LoopRecord, old: Cells, new: Cells, candidate: Candidate, match: Match, pose: Pose
     ) -> LoopRecord:
         """Search the other way round, and compare with what the graph knew."""
         settings = self.settings

@@ -31,7 +31,7 @@ def write_loops(path: str | os.PathLike[str], result: SlamResult | LidarSlamResu
 
     Nodes and scans count from 0; the last columns are the pose of the new node as seen from the old one: ``x``, ``y``
     and ``heading_deg`` in the plane, place and quaternion in space. Numbers that a loop did not get to are empty. See
-    :class:`~localisation.slam.loop_closer.LoopRecord`.
+    :class:`~localisation.slam.loop_search.LoopRecord`.
 
     Raises:
         FileAccessError: the folder is missing or not writable.

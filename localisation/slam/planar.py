@@ -60,6 +60,8 @@ class PlaneGeometry:
 
     row = 3
     dof = 3
+    compose = staticmethod(compose)
+    invert = staticmethod(invert)
     between = staticmethod(between)
     adjoint = staticmethod(adjoint)
 

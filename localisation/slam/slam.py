@@ -24,7 +24,8 @@ from localisation.odometry.scan_odometry import ENOUGH, ScanOdometry
 from localisation.settings import MappingSettings, limit_of
 from localisation.slam import planar
 from localisation.slam.local_map import LocalMap
-from localisation.slam.loop_closer import LoopCloser, LoopRecord, local_covariance, some_points
+from localisation.slam.loop_closer import LoopCloser, local_covariance, some_points
+from localisation.slam.loop_search import LoopRecord
 from localisation.slam.pose_graph import Edge, PoseGraph, import_gtsam
 from localisation.slam.settings import LoopSettings
 from localisation.slam.submap import CompactScan, Stretch, Submap, SubmapCells, compact, make_stretch

@@ -96,6 +96,8 @@ class SpaceGeometry:
 
     row = 12
     dof = 6
+    compose = staticmethod(compose)
+    invert = staticmethod(invert)
     between = staticmethod(between)
     adjoint = staticmethod(adjoint)
     small = staticmethod(small)
