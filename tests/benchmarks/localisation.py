@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.experiments.statistics import bootstrap_ratio, mean
+from hexmap.io.lidar.open_lidar import open_lidar
 from hexmap.io.logs.open_log import open_log
 from hexmap.io.trajectories import TumWriter, read_tum
 from hexmap.lattice.lattice import Lattice
@@ -43,6 +44,7 @@ from hexmap.poses.scan import Scan
 from hexmap.simulator.buildings import Building, make_building
 from hexmap.simulator.events import OdometryNoise, simulate
 from hexmap.simulator.laser import Laser
+from localisation.lidar_settings import LidarSettings
 from localisation.mapping.build_map import build_map
 from localisation.mapping.fuse_log import readings_at_poses
 from localisation.matching.global_matcher import GlobalMatcher
@@ -159,23 +161,9 @@ def planar_world(cache: Path, name: str, lattice: Lattice) -> World:
 
 def hall_scans() -> list[tuple[float, NDArray[np.float64]]]:
     """Return stamps and points (N, 3) of the LiDAR scans of the hall."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    out = []
-    path = data_folder() / "lidar3d" / "hall" / "hall.mcap"
-    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-        for connection, _, raw in reader.messages():
-            cloud: Any = reader.deserialize(raw, connection.msgtype)
-            at = {field.name: field.offset for field in cloud.fields}
-            rows = np.asarray(cloud.data).reshape(cloud.width * cloud.height, cloud.point_step)
-            xyz = [rows[:, at[a] : at[a] + 4].copy().view("<f4")[:, 0] for a in "xyz"]
-            points = np.stack(xyz, axis=1).astype(np.float64)
-            stamp = cloud.header.stamp.sec + 1e-9 * cloud.header.stamp.nanosec
-            # A handful of strays lies hundreds of metres away; the hall is 62 m long.
-            ranges = np.linalg.norm(points, axis=1)
-            out.append((stamp, points[(ranges > 0.5) & (ranges <= FARTHEST)]))
-    return out
+    # A handful of strays lies hundreds of metres away; the hall is 62 m long.
+    settings = LidarSettings(max_range=FARTHEST)
+    return [(scan.stamp, settings.in_range(scan.points)) for scan in open_lidar(data_folder() / "lidar3d" / "hall")]
 
 
 def hall_world(cache: Path, lattice: Lattice) -> World:

@@ -4,8 +4,7 @@
 
 - ``wean``: Wean Hall's own map and logs, from random instants without a start pose;
 - ``kidnap``: the robot put elsewhere at random instants of real logs;
-- ``risk``: errors among what is answered as the threshold of ambiguity moves, and answers in other buildings;
-- ``foreign``: single scans of other buildings, ten thousand of them, and the recall at which none is accepted.
+- ``risk``: errors among what is answered as the threshold of ambiguity moves, and answers in other buildings.
 
 Of Wean Hall there is no truth. Its reference is made without the localiser: ``hexmap build`` maps each log by itself,
 loops closed, and one rigid motion puts that map into the hall's own. Where its walls lie beside those of the hall's map
@@ -21,7 +20,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -379,39 +377,7 @@ def _strangers(cache: Path, sizes: Sizes) -> None:
     table(rows)
 
 
-def foreign(cache: Path, sizes: Sizes) -> None:
-    """Print how many single scans are found in their own map where none of other buildings is."""
-    names = ("intel", "belgioioso", "aces", "mit-csail")
-    logs = {n: scans_of(open_log(data_folder() / "laser2d" / f"{n}.clf.gz")) for n in names}
-    rows: list[list[object]] = [[
-        "map", "own scans", "of other buildings", "not searched to the end", "largest overlap there",
-        "own found above it", "of those within 0.5 m", "CPU ms a foreign scan",
-    ]]  # fmt: skip
-    for name in ("intel", "belgioioso", "aces"):
-        world = planar_world(cache, name, Lattice.named("A2", 0.05))
-        matcher = GlobalMatcher.of_map(world.map)
-        how: dict[str, Any] = {"runner_up": None, "information": False, "node_limit": 300_000}
-        warm_up(matcher, world.scans[0][0])
-        own = [look(matcher, p, t, **how) for p, t in world.some(10 * sizes.instants)]
-        strangers = [s.points for other, scans in logs.items() if other != name for s in scans[: 6 * sizes.foreign]]
-        begin, overlaps, open_ends = time.process_time(), [], 0
-        for points in strangers:
-            match = matcher.match(points, least=0.4, refine=False, beams=False, **how)
-            # A search that stopped early may have missed a better place: its bound counts.
-            overlaps.append(0.0 if match is None else match.overlap if match.certified else match.bound / match.total)
-            open_ends += match is not None and not match.certified
-        most = max(overlaps)
-        found = [t for t in own if t.match is not None and t.match.overlap > most]
-        right = share([t.metres <= 0.5 for t in found])
-        seconds = (time.process_time() - begin) / max(1, len(strangers))
-        rows.append([
-            name, len(own), len(strangers), open_ends, f"{most:.2f}", f"{len(found)} ({len(found) / len(own):.0%})",
-            right, f"{1e3 * seconds:.0f}",
-        ])  # fmt: skip
-    table(rows)
-
-
-FIGURES: dict[str, Callable[[Path, Sizes], None]] = {"wean": wean, "kidnap": kidnap, "risk": risk, "foreign": foreign}
+FIGURES: dict[str, Callable[[Path, Sizes], None]] = {"wean": wean, "kidnap": kidnap, "risk": risk}
 
 
 def main(arguments: list[str] | None = None) -> None:
