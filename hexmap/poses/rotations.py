@@ -31,6 +31,16 @@ def exponential(v: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + math.sin(angle) / angle * K + (1.0 - math.cos(angle)) / angle**2 * (K @ K))
 
 
+def logarithms(rotations: FloatArray) -> FloatArray:
+    """Return the rotation vectors (..., 3), radians, of ``rotations`` (..., 3, 3) by less than half a turn."""
+    R = rotations
+    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    sine = 0.5 * np.linalg.norm(skew, axis=-1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
+    factor = np.where(sine > 1e-9, angle / np.maximum(2.0 * sine, 1e-300), 0.5)
+    return np.asarray(factor[..., None] * skew)
+
+
 def angles(rotations: FloatArray) -> FloatArray:
     """Return the angle (R,), radians, of each of ``rotations`` (R, n, n)."""
     trace = np.trace(rotations, axis1=1, axis2=2)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
-from hexmap.base.errors import ArgumentError, BoundsError, LogError
+from hexmap.base.errors import ArgumentError, BoundsError
 from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.state_rule import States
@@ -24,7 +24,7 @@ from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.lidar_settings import LidarSettings
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
-from localisation.localiser.localise_log import Track
+from localisation.localiser.localise_log import Track, TrackCounter
 from localisation.matching.global_matcher import GlobalMatcher, spread_points
 from localisation.matching.gravity import levelling
 from localisation.matching.match import Match
@@ -276,33 +276,13 @@ def localise_lidar_log(
         LogError: the log cannot be read, has no scan, or none that can be used.
     """
     localiser = LidarLocaliser(states, settings, start=start, time_limit=time_limit)
-    scans = placed = unusable = 0
-    first_bad, scans_until, metres = "", None, 0.0
-    last: Pose | None = None
+    counted = TrackCounter(str(log.path), on_estimate, progress)
     for scan in log:
         try:
-            estimate = localiser.add(scan)
+            counted.add(localiser.add(scan))
         except BoundsError as error:
-            unusable += 1
-            first_bad = first_bad or f"scan {scan.line}: {error}"
-            continue
-        scans += 1
-        if estimate.pose is not None:
-            placed += 1
-            scans_until = scans_until or scans
-            if last is not None:
-                metres += math.dist(last.translation, estimate.pose.translation)
-        last = estimate.pose
-        if on_estimate is not None:
-            on_estimate(estimate)
-        if progress is not None:
-            progress(scans)
-    if unusable and not scans:
-        raise LogError(f"{log.path}: no scan can be used, {first_bad}")
-    warnings = list(log.warnings)
-    if unusable:
-        warnings.append(f"{log.path}: {unusable} scans cannot be used and are left out, the first at {first_bad}")
-    return Track(scans, placed, scans_until, 0.0, localiser.times_lost, metres, warnings)
+            counted.leave_out(f"scan {scan.line}: {error}")
+    return counted.track(localiser.times_lost, log.warnings)
 
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

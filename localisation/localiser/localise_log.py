@@ -16,7 +16,7 @@ from localisation.localiser.estimate import Estimate, TrackState
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
 
-__all__ = ["CSV_HEADER", "Track", "csv_line", "localise_log"]
+__all__ = ["CSV_HEADER", "Track", "TrackCounter", "csv_line", "localise_log"]
 
 CSV_HEADER = (
     "stamp,line,state,x,y,theta,score,total,overlap,contradicted,cov_xx,cov_xy,cov_yy,cov_tt,"
@@ -76,47 +76,84 @@ def localise_log(
         LogError: the log cannot be read, has no laser reading, or none that can be used.
     """
     localiser: Localiser | None = None
-    scans = placed = unusable = 0
-    first_bad = ""
-    scans_until: int | None = None
-    metres_until = metres = 0.0
+    counted = TrackCounter(str(log.path), on_estimate, progress)
+    metres = 0.0
     odometry: Pose | None = None
-    last: Pose | None = None
     for event in log:
         if localiser is None:
             localiser = Localiser(world, settings, mount=mount or log.mount, start=start, rule=rule, level=level)
         reading = event.odometry if isinstance(event, Scan) else event.pose
         if reading is not None:
-            if odometry is not None and scans_until is None and scans:
-                metres_until += math.dist(odometry.translation, reading.translation)
+            if odometry is not None and counted.scans_until is None and counted.scans:
+                metres += math.dist(odometry.translation, reading.translation)
             odometry = reading
         try:
             estimate = localiser.add(event)
         except BoundsError as error:
-            unusable += 1
-            first_bad = first_bad or (f"line {event.line}: {error}" if event.line is not None else str(error))
+            counted.leave_out(f"line {event.line}: {error}" if event.line is not None else str(error))
             continue
-        if estimate is None:
-            continue
-        scans += 1
-        if estimate.pose is not None:
-            placed += 1
-            scans_until = scans_until or scans
-            if last is not None:
-                metres += math.dist(last.translation, estimate.pose.translation)
-        last = estimate.pose
-        if on_estimate is not None:
-            on_estimate(estimate)
-        if progress is not None:
-            progress(scans)
+        if estimate is not None:
+            counted.add(estimate)
     if localiser is None:
         raise LogError(f"{log.path}: there is no laser reading in it")
-    if unusable and not scans:
-        raise LogError(f"{log.path}: no scan can be used, {first_bad}")
-    warnings = list(log.warnings)
-    if unusable:
-        warnings.append(f"{log.path}: {unusable} scans cannot be used and are left out, the first at {first_bad}")
-    return Track(scans, placed, scans_until, metres_until, localiser.times_lost, metres, warnings)
+    return counted.track(localiser.times_lost, log.warnings, metres)
+
+
+class TrackCounter:
+    """Counts along a log what is known after each scan, and passes it on.
+
+    Attributes:
+        scans: so far.
+        scans_until: the first pose, itself included; None: there was none yet.
+    """
+
+    def __init__(
+        self,
+        log: str,
+        on_estimate: Callable[[Estimate], None] | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> None:
+        """Begin; ``log`` is its name in messages."""
+        self._log, self._on_estimate, self._progress = log, on_estimate, progress
+        self.scans = self._placed = self._unusable = 0
+        self.scans_until: int | None = None
+        self._first_bad = ""
+        self._metres = 0.0
+        self._last: Pose | None = None
+
+    def add(self, estimate: Estimate) -> None:
+        """Take what is known after the next scan."""
+        self.scans += 1
+        if estimate.pose is not None:
+            self._placed += 1
+            self.scans_until = self.scans_until or self.scans
+            if self._last is not None:
+                self._metres += math.dist(self._last.translation, estimate.pose.translation)
+        self._last = estimate.pose
+        if self._on_estimate is not None:
+            self._on_estimate(estimate)
+        if self._progress is not None:
+            self._progress(self.scans)
+
+    def leave_out(self, why: str) -> None:
+        """Count a scan that cannot be used."""
+        self._unusable += 1
+        self._first_bad = self._first_bad or why
+
+    def track(self, times_lost: int, warnings: list[str], metres_until: float = 0.0) -> Track:
+        """Return what was counted.
+
+        Raises:
+            LogError: there were scans, and none of them could be used.
+        """
+        if self._unusable and not self.scans:
+            raise LogError(f"{self._log}: no scan can be used, {self._first_bad}")
+        notes = list(warnings)
+        if self._unusable:
+            notes.append(
+                f"{self._log}: {self._unusable} scans cannot be used and are left out, the first at {self._first_bad}"
+            )
+        return Track(self.scans, self._placed, self.scans_until, metres_until, times_lost, self._metres, notes)
 
 
 def csv_line(estimate: Estimate) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.poses.pose import Pose
-from hexmap.poses.rotations import angles
+from hexmap.poses.rotations import logarithms
 from hexmap.poses.scan import Scan
 
 __all__ = ["Velocity", "deskewed"]
@@ -32,12 +32,7 @@ class Velocity:
         """Return the velocity of a motion T_before_after in some seconds; None where stamps do not tell."""
         if not 0.0 < seconds < _LONGEST:
             return None
-        R = motion.rotation
-        skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-        sine = 0.5 * float(np.linalg.norm(skew))
-        angle = float(angles(R[None])[0])
-        vector = skew * (angle / (2.0 * sine) if sine > 1e-9 else 0.5)
-        return cls(motion.translation / seconds, vector / seconds)
+        return cls(motion.translation / seconds, logarithms(motion.rotation) / seconds)
 
 
 def deskewed(scan: Scan, velocity: Velocity | None) -> FloatArray:

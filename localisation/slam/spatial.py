@@ -11,6 +11,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.poses.pose import Pose
+from hexmap.poses.rotations import logarithms
 
 __all__ = ["SPACE", "adjoint", "between", "compose", "invert", "motion", "of_pose", "small", "to_pose"]
 
@@ -56,12 +57,7 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
 def small(a: FloatArray) -> FloatArray:
     """Return rows (..., 12) near the identity as small motions (..., 6): translation, then rotation vector."""
     R, t = _parts(a)
-    skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    sine = 0.5 * np.linalg.norm(skew, axis=-1)
-    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
-    angle = np.arctan2(sine, cosine)
-    factor = np.where(sine > 1e-9, angle / np.maximum(2.0 * sine, 1e-300), 0.5)
-    return np.concatenate([t, factor[..., None] * skew], axis=-1)
+    return np.concatenate([t, logarithms(R)], axis=-1)
 
 
 def motion(v: FloatArray) -> FloatArray:
