@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
-from hexmap.base.errors import ArgumentError, HexmapError
+from hexmap.base.errors import ArgumentError
 from hexmap.io.lidar.lidar_log import LidarLogSettings
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.builder import MapBuilder
 from hexmap.maps.state_rule import StateRule
-from localisation.settings import limit_of
+from localisation.settings import limit_of, settings_of
 
 __all__ = ["LidarSettings"]
 
@@ -86,19 +86,4 @@ class LidarSettings:
         Raises:
             ArgumentError: a setting is not known or has a wrong value.
         """
-        known = {f.name for f in fields(cls)}
-        unknown = sorted(set(value) - known)
-        if unknown:
-            raise ArgumentError(
-                f"no setting of a map in space is called {unknown[0]!r}; known are {', '.join(sorted(known))}"
-            )
-        values = dict(value)
-        try:
-            for name, part in (("rule", StateRule), ("log", LidarLogSettings)):
-                if name in values:
-                    values[name] = part(**values[name])
-            return cls(**values)
-        except HexmapError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"not a configuration of a map in space: {error}") from error
+        return settings_of(cls, value, {"rule": StateRule, "log": LidarLogSettings}, "a map in space")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -84,29 +84,12 @@ class MappingSettings:
         Raises:
             ArgumentError: a setting is not known or has a wrong value.
         """
-        known = {f.name for f in fields(cls)}
-        unknown = sorted(set(value) - known)
-        if unknown:
-            raise ArgumentError(f"no setting is called {unknown[0]!r}; known are {', '.join(sorted(known))}")
-        values = dict(value)
         for name, kinds in _KINDS.items():
-            if name in values and (
-                not isinstance(values[name], kinds) or isinstance(values[name], bool) != (kinds is bool)
+            if name in value and (
+                not isinstance(value[name], kinds) or isinstance(value[name], bool) != (kinds is bool)
             ):
-                raise ArgumentError(f"the setting {name} has a wrong value: {values[name]!r}")
-        for part in ("rule", "log"):
-            if part in values and not isinstance(values[part], Mapping):
-                raise ArgumentError(f"the setting {part} has a wrong value: {values[part]!r}")
-        try:
-            if "rule" in values:
-                values["rule"] = StateRule(**values["rule"])
-            if "log" in values:
-                values["log"] = LogSettings(**values["log"])
-            return cls(**values)
-        except HexmapError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"not a configuration of a map: {error}") from error
+                raise ArgumentError(f"the setting {name} has a wrong value: {value[name]!r}")
+        return settings_of(cls, value, {"rule": StateRule, "log": LogSettings})
 
 
 _KINDS: dict[str, Any] = {
@@ -145,3 +128,36 @@ def make_mount(settings: MappingSettings, from_log: Pose | None) -> Pose:
     if settings.mount is not None:
         return Pose.planar(*settings.mount)
     return from_log if from_log is not None else Pose.identity(2)
+
+
+Settings = TypeVar("Settings")
+
+
+def settings_of(
+    kind: type[Settings], value: Mapping[str, Any], parts: Mapping[str, type], of: str = "a map"
+) -> Settings:
+    """Return settings of plain JSON values; those that are left out keep their defaults.
+
+    Args:
+        kind: a dataclass.
+        value: its fields by name.
+        parts: fields that are dataclasses of their own, and which.
+        of: what they are settings of, for messages.
+
+    Raises:
+        ArgumentError: a setting is not known or has a wrong value.
+    """
+    known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
+    unknown = sorted(set(value) - known)
+    if unknown:
+        raise ArgumentError(f"no setting of {of} is called {unknown[0]!r}; known are {', '.join(sorted(known))}")
+    values = dict(value)
+    for name in parts:
+        if name in values and not isinstance(values[name], Mapping):
+            raise ArgumentError(f"the setting {name} has a wrong value: {values[name]!r}")
+    try:
+        return kind(**{n: parts[n](**v) if n in parts else v for n, v in values.items()})
+    except HexmapError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"not a configuration of {of}: {error}") from error

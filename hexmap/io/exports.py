@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import PathLike, atomic_write
 from hexmap.base.errors import ArgumentError
@@ -19,6 +21,7 @@ from hexmap.lattice.keys import unpack
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
+from hexmap.maps.voxel_list import VoxelList
 
 __all__ = ["export", "export_csv", "export_octomap", "export_pcd", "export_ply", "export_ros", "export_ros_band"]
 
@@ -134,19 +137,12 @@ def export_ply(map: Map, path: PathLike, level: int = 0, rule: StateRule | None 
         FileAccessError: the file cannot be written.
     """
     path = Path(path)
-    occupied = map.state(rule, level).occupied
-    vertices = np.zeros(len(occupied), np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("hits", "<u4")]))
-    for axis, column in zip("xyz", occupied.centres().T, strict=False):
-        vertices[axis] = column
-    vertices["hits"] = np.minimum(occupied.counts, 2**32 - 1)
+    vertices = _points(map.state(rule, level).occupied, "<f8")
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
         "property double x\nproperty double y\nproperty double z\nproperty uint hits\nend_header\n"
     )
-    with atomic_write(path) as handle:
-        handle.write(header.encode("ascii"))
-        handle.write(vertices.tobytes())
-    return [path]
+    return _write_points(path, header, vertices)
 
 
 def export_pcd(map: Map, path: PathLike, level: int = 0, rule: StateRule | None = None) -> list[Path]:
@@ -169,16 +165,25 @@ def export_pcd(map: Map, path: PathLike, level: int = 0, rule: StateRule | None 
         FileAccessError: the file cannot be written.
     """
     path = Path(path)
-    occupied = map.state(rule, level).occupied
-    points = np.zeros(len(occupied), np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("hits", "<u4")]))
-    for axis, column in zip("xyz", occupied.centres().T, strict=False):
-        points[axis] = column
-    points["hits"] = np.minimum(occupied.counts, 2**32 - 1)
+    points = _points(map.state(rule, level).occupied, "<f4")
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z hits\nSIZE 4 4 4 4\nTYPE F F F U\n"
         f"COUNT 1 1 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA binary\n"
     )
+    return _write_points(path, header, points)
+
+
+def _points(occupied: VoxelList, real: str) -> NDArray[Any]:
+    """Return the centres of cells and their hits as rows x, y, z of the type ``real``, and hits of 32 bits."""
+    rows = np.zeros(len(occupied), np.dtype([("x", real), ("y", real), ("z", real), ("hits", "<u4")]))
+    for axis, column in zip("xyz", occupied.centres().T, strict=False):
+        rows[axis] = column
+    rows["hits"] = np.minimum(occupied.counts, 2**32 - 1)
+    return rows
+
+
+def _write_points(path: Path, header: str, rows: NDArray[Any]) -> list[Path]:
     with atomic_write(path) as handle:
         handle.write(header.encode("ascii"))
-        handle.write(points.tobytes())
+        handle.write(rows.tobytes())
     return [path]

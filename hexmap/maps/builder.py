@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
 from hexmap.base.text import reason
 from hexmap.lattice.lattice import Lattice
@@ -84,14 +85,7 @@ class MapBuilder:
             ArgumentError: scan, pose and lattice are not all of the same dimension.
             BoundsError: a point falls outside the range of indices; nothing of the scan is added.
         """
-        n = self.lattice.dim
-        if scan.dim != n or T_map_scan.dim != n:
-            raise ArgumentError(
-                f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
-            )
-        if not np.isfinite(scan.points).all():
-            self.lattice.quantise(scan.points)  # raises, naming the row
-        ranges = np.sqrt((scan.points**2).sum(axis=1))
+        ranges = self._ranges(scan, T_map_scan)
         hit = (ranges >= self._min_range) & (ranges <= self._max_range)
         beyond = ranges > self._max_range
         cleared = scan.points[beyond] * (self._max_range / ranges[beyond])[:, None] if beyond.any() else scan.points[:0]
@@ -113,17 +107,23 @@ class MapBuilder:
             ArgumentError: scan, pose and lattice are not all of the same dimension.
             BoundsError: a point falls outside the range of indices; nothing of the scan is added.
         """
-        n = self.lattice.dim
-        if scan.dim != n or T_map_scan.dim != n:
-            raise ArgumentError(
-                f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
-            )
-        ranges = np.sqrt((scan.points**2).sum(axis=1))
+        ranges = self._ranges(scan, T_map_scan)
         points = T_map_scan.apply(scan.points[(ranges >= self._min_range) & (ranges <= self._max_range)])
         index = [counter.lattice.quantise(points) for counter in self._counters]
         for counter, cells in zip(self._counters, index, strict=True):
             counter.add(cells)
         self.scans += 1
+
+    def _ranges(self, scan: Scan, T_map_scan: Pose) -> FloatArray:
+        """Return how far the points (N,) of a scan are from the sensor, metres, if it can go into the map at all."""
+        n = self.lattice.dim
+        if scan.dim != n or T_map_scan.dim != n:
+            raise ArgumentError(
+                f"a scan of dimension {scan.dim} at a pose of {T_map_scan.dim} cannot go into a map of dimension {n}"
+            )
+        if not np.isfinite(scan.points).all():
+            self.lattice.quantise(scan.points)  # raises, naming the row
+        return np.asarray(np.sqrt((scan.points**2).sum(axis=1)))
 
     def build(self, frame: str = "map", source: Mapping[str, Any] | None = None, *, finish: bool = False) -> Map:
         """Return the map of all scans fused so far.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, LogError
 from hexmap.base.text import plural
-from hexmap.io.logs.log import Tally
+from hexmap.io.logs.log_account import LogAccount, Tally
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 
@@ -52,7 +52,7 @@ def returned(points: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(points).all(axis=1) & (np.abs(points) > _NOTHING).any(axis=1))
 
 
-class LidarLog(ABC):
+class LidarLog(LogAccount, ABC):
     """Scans of a LiDAR in the order of the log; iterate as often as needed, one scan is in memory at a time.
 
     Attributes:
@@ -72,27 +72,16 @@ class LidarLog(ABC):
 
     def __init__(self, path: Path, settings: LidarLogSettings, size: int) -> None:
         """Begin; nothing is read yet."""
-        self.path, self.settings, self.size = path, settings, size
+        self.settings = settings
         self.mount: Pose | None = None
-        self.position = self.scans = 0
-        self._notes: list[str] = []
-        self._reset()
+        super().__init__(path, size)
 
     def _reset(self) -> None:
-        self.position = self.scans = 0
-        self._skipped, self._empty, self._dropped, self._elsewhere = Tally(), Tally(), Tally(), Tally()
-        self._late_notes: list[str] = []
+        super()._reset()
+        self._empty, self._dropped, self._elsewhere = Tally(), Tally(), Tally()
 
-    def fraction(self) -> float:
-        """Return how much of the log has been read, from 0 to 1."""
-        return min(self.position / self.size, 1.0) if self.size > 0 else 1.0
-
-    @property
-    def warnings(self) -> list[str]:
-        """What was not as it should be, one line each, each naming the log."""
-        texts = list(self._notes)
-        if self._skipped.count:
-            texts.append(f"{plural(self._skipped.count, self._unit)} skipped, the first at {self._skipped.first}")
+    def _told(self) -> list[str]:
+        texts = []
         if self._elsewhere.count:
             texts.append(
                 f"{plural(self._elsewhere.count, 'scan')} of another frame left out, the first at "
@@ -106,8 +95,7 @@ class LidarLog(ABC):
                 f"{plural(self._dropped.count, 'point')} dropped (not finite, or at the sensor itself), the first at "
                 f"{self._dropped.first}"
             )
-        texts.extend(self._late_notes)
-        return [f"{self.path.name}: {text}" for text in texts]
+        return texts
 
     def __iter__(self) -> Iterator[Scan]:
         """Read the log from its start.

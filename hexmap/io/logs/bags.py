@@ -29,7 +29,8 @@ from hexmap.base.text import plural, reason, shown
 from hexmap.io.logs.bag_frames import FrameTree, Joints, frame_name, transforms
 from hexmap.io.logs.bag_messages import contradiction, message_stamp, odometry_reading, scan_ranges
 from hexmap.io.logs.bag_sources import BagSource
-from hexmap.io.logs.log import Log, LogSettings, Tally, file_size
+from hexmap.io.logs.log import Log, LogSettings, file_size
+from hexmap.io.logs.log_account import Tally
 from hexmap.io.logs.open_bag import ADVICE, open_sound_bag, topic_list, topic_name
 from hexmap.io.logs.waiting import Waiting
 from hexmap.io.read_file import cannot_read

@@ -14,6 +14,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, LogError
 from hexmap.base.text import plural
+from hexmap.io.logs.log_account import LogAccount, Tally
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
 
@@ -85,20 +86,6 @@ def beam_fan(beams: int) -> tuple[float, float, bool]:
     return -0.5 * math.pi, math.pi / steps, beams in _HALF_TURN
 
 
-@dataclass
-class Tally:
-    """Counts one kind of trouble and remembers where it was first met."""
-
-    count: int = 0
-    first: str = ""
-
-    def add(self, where: str, count: int = 1) -> None:
-        """Count; ``where`` says line and reason of the first."""
-        if self.count == 0:
-            self.first = where
-        self.count += count
-
-
 class Beams:
     """Turns ranges into points and rays; keeps the directions of the last geometry seen."""
 
@@ -143,7 +130,7 @@ class Beams:
         return ranges[hit, None] * directions[hit], directions[far], len(ranges) - returned - rays
 
 
-class Log(ABC):
+class Log(LogAccount, ABC):
     """A log as a stream of scans and odometry readings, in the order of the file.
 
     Iterating reads the file from its start, as often as one likes, and holds no more of it than
@@ -162,41 +149,21 @@ class Log(ABC):
     """
 
     format: str = ""
-    _unit = "line"
 
     def __init__(self, path: Path, settings: LogSettings, size: int) -> None:
-        self.path = path
         self.settings = settings
-        self.size = size
         self.mount: Pose | None = None
-        self._notes: list[str] = []
-        self._reset()
+        super().__init__(path, size)
 
     def _reset(self) -> None:
-        self.position = 0
-        self.scans = 0
+        super()._reset()
         self.odometry = 0
-        self._skipped = Tally()
         self._dropped = Tally()
         self._other_laser = Tally()
-        self._late_notes: list[str] = []
         self._beams = Beams(self.settings)
 
-    @property
-    def skipped(self) -> int:
-        """Lines or messages that could not be used so far."""
-        return self._skipped.count
-
-    def fraction(self) -> float:
-        """Return how much of the log has been read, from 0 to 1."""
-        return min(self.position / self.size, 1.0) if self.size > 0 else 1.0
-
-    @property
-    def warnings(self) -> list[str]:
-        """What was not as it should be, one line each, each naming the file."""
-        texts = list(self._notes)
-        if self._skipped.count:
-            texts.append(f"{plural(self._skipped.count, self._unit)} skipped, the first at {self._skipped.first}")
+    def _told(self) -> list[str]:
+        texts = []
         if self._dropped.count:
             texts.append(
                 f"{plural(self._dropped.count, 'beam')} dropped (NaN, negative, zero or below the minimum range), "
@@ -212,8 +179,7 @@ class Log(ABC):
                 f"{plural(self._other_laser.count, 'scan')} of another laser left out, "
                 f"the first at {self._other_laser.first}; choose with the setting laser"
             )
-        texts.extend(self._late_notes)
-        return [f"{self.path.name}: {text}" for text in texts]
+        return texts
 
     def __iter__(self) -> Iterator[Event]:
         """Read the log from its start.
