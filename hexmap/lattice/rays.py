@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, TooLargeError
 from hexmap.base.values import lossless
-from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.convert import LatticeLike, as_lattice
 
 __all__ = ["RayCells", "traverse"]
 
@@ -43,7 +43,7 @@ class RayCells:
         return self.index[keep]
 
 
-def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
+def traverse(lattice: LatticeLike, starts: ArrayLike, ends: ArrayLike) -> RayCells:
     """Return the cells that the straight lines from ``starts`` to ``ends`` (R, n), metres, pass in order.
 
     The first is the cell of the start and the last that of the end, by the quantiser's tie rule;
@@ -55,6 +55,7 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
         BoundsError: an end is not finite or out of range.
         TooLargeError: the rays pass too many cells for one call.
     """
+    lattice = as_lattice(lattice)
     given = lossless(starts), lossless(ends)
     if given[0] is None or given[1] is None:
         raise ArgumentError("the ends of rays must be real numbers without a mask")

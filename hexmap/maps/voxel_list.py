@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
 from hexmap.base.values import Immutable, integers, kept, read_only
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.keys import KeyArray, key_delta, layout, pack, unpack
 from hexmap.lattice.lattice import Lattice
 
@@ -51,7 +52,7 @@ class VoxelList(Immutable):
     keys: KeyArray
     counts: CountArray
 
-    def __init__(self, lattice: Lattice, keys: KeyArray, counts: CountArray) -> None:
+    def __init__(self, lattice: LatticeLike, keys: KeyArray, counts: CountArray) -> None:
         """Wrap columns that are already sorted and unique; use the ``from_`` functions otherwise.
 
         Columns that can be written to are copied.
@@ -62,7 +63,7 @@ class VoxelList(Immutable):
         keys, counts = kept(keys, np.int64), kept(counts, np.int64)
         if keys.ndim != 1 or keys.shape != counts.shape:
             raise ArgumentError(f"keys and counts are two columns of the same length, not {keys.shape}, {counts.shape}")
-        object.__setattr__(self, "lattice", lattice)
+        object.__setattr__(self, "lattice", as_lattice(lattice))
         object.__setattr__(self, "keys", keys)
         object.__setattr__(self, "counts", counts)
 
@@ -71,28 +72,35 @@ class VoxelList(Immutable):
         return VoxelList, (self.lattice, self.keys, self.counts)
 
     @classmethod
-    def empty(cls, lattice: Lattice) -> VoxelList:
+    def empty(cls, lattice: LatticeLike) -> VoxelList:
         """Return the list without a point: the identity of :meth:`merge`."""
         return cls(lattice, read_only(np.empty(0, np.int64)), read_only(np.empty(0, np.int64)))
 
     @classmethod
-    def from_points(cls, points: ArrayLike, lattice: Lattice) -> VoxelList:
+    def from_points(cls, points: ArrayLike, lattice: LatticeLike, resolution: float | None = None) -> VoxelList:
         """Quantise ``points`` (N, n), metres, and count them by lattice point.
+
+        Args:
+            points: (N, n) metres.
+            lattice: a lattice, the name of one, or a basis.
+            resolution: of the cells, metres; see :func:`~hexmap.lattice.as_lattice`.
 
         Raises:
             ArgumentError: the array is not (N, n).
             BoundsError: a point is not finite or out of range.
         """
-        return cls._from_index(lattice.quantise(points), lattice)
+        on = as_lattice(lattice, resolution)
+        return cls._from_index(on.quantise(points), on)
 
     @classmethod
-    def from_cells(cls, index: ArrayLike, lattice: Lattice, counts: ArrayLike | None = None) -> VoxelList:
+    def from_cells(cls, index: ArrayLike, lattice: LatticeLike, counts: ArrayLike | None = None) -> VoxelList:
         """Make a list of indices (M, n), which may repeat, with a count each (1 where none is given).
 
         Raises:
             ArgumentError: shapes that do not fit, indices that are not integers, or a count below 1.
             BoundsError: an index is out of range, or the counts of a cell add up to more than 2^63 - 1.
         """
+        lattice = as_lattice(lattice)
         i = lattice.check_index(cls._integers(index, lattice))
         if counts is None:
             return cls._from_index(i, lattice)
