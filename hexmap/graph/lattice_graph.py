@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import integers
-from hexmap.graph.bodies import Boxes
 from hexmap.graph.arrays import as_networkx, costs_as_csr, free_of_blocked, joined, some_moves
+from hexmap.graph.bodies import Boxes
 from hexmap.graph.clearance import Clearance, To, check_to
 from hexmap.graph.moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
 from hexmap.graph.obstacles import BlockedCells, ListedCells

@@ -49,7 +49,17 @@ def as_lattice(given: LatticeLike, resolution: float | None = None) -> Lattice:
         return given
     if not isinstance(resolution, Real) or isinstance(resolution, bool) or not 0.0 < resolution < float("inf"):
         raise LatticeError(f"a resolution must be a positive number of metres, not {quoted(resolution)}")
+    if _is_named(given):
+        return Lattice.named(given.name, resolution)  # to the last bit
     return given.scaled(float(resolution) / given.resolution)
+
+
+def _is_named(lattice: Lattice) -> bool:
+    """Tell whether a lattice is the one of its name, at whatever resolution."""
+    if lattice.name not in NAMES:
+        return False
+    usual = Lattice.named(lattice.name, lattice.resolution).basis
+    return usual.shape == lattice.basis.shape and np.allclose(usual, lattice.basis, rtol=1e-12, atol=0.0)
 
 
 def plain_basis(given: LatticeLike) -> str | tuple[tuple[float, ...], ...]:
@@ -60,10 +70,8 @@ def plain_basis(given: LatticeLike) -> str | tuple[tuple[float, ...], ...]:
     if isinstance(given, str):
         return given
     lattice = as_lattice(given)
-    if lattice.name in NAMES:
-        usual = Lattice.named(lattice.name, lattice.resolution)
-        if usual.basis.shape == lattice.basis.shape and np.allclose(usual.basis, lattice.basis, rtol=1e-12, atol=0.0):
-            return lattice.name
+    if _is_named(lattice):
+        return lattice.name
     return tuple(tuple(row) for row in lattice.basis.tolist())
 
 

@@ -16,7 +16,6 @@ from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import TooLargeError
 from hexmap.base.values import read_only
 from hexmap.lattice.convert import LatticeLike, as_lattice
-from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.rays import MAX_CELLS, traverse
 from hexmap.maps.voxel_list import VoxelList
 

@@ -157,13 +157,14 @@ class Map(Immutable):
             >>> from hexmap import CellState, MapBuilder, Pose, Scan
             >>> builder = MapBuilder("A2", resolution=0.1)
             >>> builder.fuse(Scan(stamp=0.0, points=[[2.0, 0.0]]), Pose.identity(2))
-            >>> [CellState(code).name for code in builder.build().state_at([[2.0, 0.0], [1.0, 0.0], [9.0, 9.0]])]
+            >>> codes = builder.build().state_at([[2.0, 0.0], [1.0, 0.01], [9.0, 9.0]])
+            >>> [CellState(code).name for code in codes]
             ['OCCUPIED', 'FREE', 'UNKNOWN']
         """
         lattice = self.level(level).lattice
         given = lossless(points)
         if given is None or (given.size and (given.ndim != 2 or given.shape[1] != lattice.dim)):
-            raise ArgumentError(f"points in a map of dimension {lattice.dim} are (N, {lattice.dim}), not {quoted(points)}")
+            raise ArgumentError(f"points in this map are real numbers (N, {lattice.dim}), not {quoted(points)}")
         at = given.astype(np.float64).reshape(-1, lattice.dim)
         if not np.isfinite(at).all():
             lattice.quantise(at)  # raises, naming the row
