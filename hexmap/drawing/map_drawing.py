@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.drawing.figure_layout import (
     FAINT,
     FREE_COLOUR,
@@ -186,6 +187,8 @@ class HighestCells:
 
     lattice: Lattice
     centres: NDArray[np.float64]
+
+    __repr__ = one_line
 
     @property
     def heights(self) -> tuple[float, float] | None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, TooLargeError
-from hexmap.base.values import lossless
+from hexmap.base.values import lossless, one_line
 from hexmap.lattice.convert import LatticeLike, as_lattice
 
 __all__ = ["RayCells", "traverse"]
@@ -27,6 +27,8 @@ class RayCells:
 
     index: NDArray[np.int32]
     offsets: NDArray[np.int64]
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         """Return the number of rays."""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray, frozen
 from hexmap.base.errors import ArgumentError, TrajectoryError
-from hexmap.base.values import remade
+from hexmap.base.values import one_line, remade
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import quaternions_to_rotations
 
@@ -185,6 +185,8 @@ class Relations:
     to_stamps: FloatArray
     translations: FloatArray
     rotations: FloatArray
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Make the arrays read-only float64 and check their shapes."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -71,6 +72,8 @@ class Drawn:
     met: float
     sigma: float
     converged: bool
+
+    __repr__ = one_line
 
 
 class SurfaceMap:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
-from hexmap.base.values import integers
+from hexmap.base.values import integers, one_line
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.heuristics import least_terrain
 
@@ -55,6 +55,8 @@ class DistanceField:
     seconds: float
     _distance: NDArray[np.float64] | None = None
     _partial: bool = False
+
+    __repr__ = one_line
 
     @cached_property
     def distance(self) -> NDArray[np.float64]:

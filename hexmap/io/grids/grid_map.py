@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
-from hexmap.base.values import kept, remade
+from hexmap.base.values import kept, one_line, remade
 from hexmap.io.read_file import inflation_limit
 from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
@@ -68,6 +68,8 @@ class GridMap:
     path: str = ""
     kind: str = ""
     y_down: bool = False
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Check the values and make the arrays read-only.
