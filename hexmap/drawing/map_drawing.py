@@ -340,10 +340,10 @@ def draw_areas(axes: Any, areas: list[tuple[VoxelList, str]]) -> None:
         rings = outline(cells)
         if len(rings.ends):
             # Not add_patch, which walks through the curve in Python to find limits that are fixed here.
-            axes.add_artist(_patch(rings, colour))
+            axes.add_artist(area_patch(rings, colour))
 
 
-def _patch(rings: Rings, colour: str) -> Any:
+def area_patch(rings: Rings, colour: Any) -> Any:
     """Return one filled shape of many rings."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Curve

@@ -78,6 +78,10 @@ class MapBuilder:
         """The lattice of the finest level."""
         return self._counters[0].lattice
 
+    def __repr__(self) -> str:
+        """Say how many scans there are, and on what."""
+        return f"<MapBuilder of {self.scans} scans, {len(self._counters)} levels on {self.lattice!r}>"
+
     def counter(self, level: int = 0) -> CellCounter:
         """Return the counts of a level as they are now, for reading."""
         return self._counters[level]

@@ -54,6 +54,10 @@ class CellCounter:
         self._noted = 0
         self._followers: list[Follower] = []
 
+    def __repr__(self) -> str:
+        """Show the lattice."""
+        return f"<CellCounter on {self.lattice!r}>"
+
     def __getstate__(self) -> dict[str, Any]:
         """Leave out spare tiles and those who follow: what they hold is made anew when they follow again."""
         a = self._arrays

@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, LatticeError
+from hexmap.base.pictures import drawing, picture_html
 from hexmap.base.text import quoted
 from hexmap.base.values import Immutable, lossless
 from hexmap.lattice.lattice import Lattice
@@ -24,6 +25,9 @@ from hexmap.maps.origin import frames_of, logs_in_words, sources_in_frame
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["Level", "Map", "MapDiff"]
 
@@ -283,6 +287,39 @@ class Map(Immutable):
             return None
         centres = VoxelList(self.level(level).lattice, keys, np.ones_like(keys)).centres()
         return centres.min(axis=0), centres.max(axis=0)
+
+    def plot(
+        self, ax: Axes | None = None, *, level: int = 0, rule: StateRule | None = None, height: float | None = None
+    ) -> Axes:
+        """Draw a level on axes of matplotlib, in metres: occupied cells, darker the more hits, free and unknown ones.
+
+        A map in space is seen from above, the highest occupied cell of each column in the colour of its height; or cut
+        through. :func:`hexmap.draw_map` writes a finished picture instead.
+
+        Args:
+            ax: axes to draw on; new ones where none are given.
+            level: which level, 0 is the finest.
+            rule: what a cell is, from its hits and passes.
+            height: of a horizontal cut through a map in space, metres.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ArgumentError: no such level; a height that is not finite, or of a map in the plane.
+
+        Examples:
+            >>> from hexmap import MapBuilder, Pose, Scan, Trajectory
+            >>> builder = MapBuilder("Z2", resolution=0.1)
+            >>> builder.fuse(Scan(stamp=0.0, points=[[2.0, 0.0]]), Pose.identity(2))
+            >>> axes = builder.build().plot()
+            >>> axes = Trajectory.from_poses([0.0], [Pose.identity(2)]).plot(axes)     # on the same axes
+        """
+        return drawing().plot_map(self, ax, level=level, rule=rule, height=height)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two maps are the same, cell by cell, and came from the same logs."""

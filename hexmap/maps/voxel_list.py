@@ -10,16 +10,20 @@ from __future__ import annotations
 
 import itertools
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
+from hexmap.base.pictures import drawing, picture_html
 from hexmap.base.values import Immutable, integers, kept, read_only
 from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.keys import KeyArray, key_delta, layout, pack, unpack
 from hexmap.lattice.lattice import Lattice
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["VoxelList"]
 
@@ -210,6 +214,34 @@ class VoxelList(Immutable):
     def __repr__(self) -> str:
         """Show size and lattice."""
         return f"<VoxelList of {len(self)} points on {self.lattice!r}>"
+
+    def plot(self, ax: Axes | None = None, *, height: float | None = None, **style: Any) -> Axes:
+        """Draw the cells on axes of matplotlib, in metres; the darker, the more often they were hit.
+
+        In space they are seen from above, the highest of each column in the colour of its height; or cut through.
+
+        Args:
+            ax: axes to draw on; new ones where none are given.
+            height: of a horizontal cut through cells in space, metres.
+            style: ``colour`` for one colour instead of shades; ``alpha``.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ArgumentError: a height that is not finite, or of cells in the plane.
+
+        Examples:
+            >>> from hexmap import VoxelList
+            >>> axes = VoxelList.from_points([[0.0, 0.0], [0.3, 0.1]], "A2", 0.1).plot()
+            >>> axes.get_xlabel(), axes.get_ylabel()
+            ('x, m', 'y, m')
+        """
+        return drawing().plot_cells(self, ax, height=height, **style)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     # ------------------------------------------------------------------ algebra
 

@@ -50,6 +50,10 @@ class Occupancy:
         self._near = _Tiles(lattice.dim)
         self._wide: _Tiles | None = None
 
+    def __repr__(self) -> str:
+        """Show the lattice."""
+        return f"<Occupancy on {self.lattice!r}>"
+
     @classmethod
     def of_list(cls, cells: VoxelList) -> Occupancy:
         """Return the occupancy of the cells of a list."""
