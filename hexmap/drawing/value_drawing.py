@@ -38,6 +38,7 @@ _SAMPLES = 2  # to each side of a pixel
 _MOST_PIXELS = 2000  # of the longer side of an image
 _INLINE_INCHES, _INLINE_DPI = (4.2, 3.2), 90
 _INLINE_CELLS = 300_000  # of a level in a notebook; a coarser one looks the same at that size
+_INLINE_POINTS = 20_000  # of a line; more are no finer at that size
 _BLOCKED = SHADES[-2]
 _AT_ONCE = 1 << 20  # cells
 
@@ -172,7 +173,10 @@ def inline_picture(value: Any) -> str:
         figure = Figure(figsize=_INLINE_INCHES, dpi=_INLINE_DPI)
         FigureCanvasAgg(figure)
         ax = figure.add_subplot()
-        if isinstance(value, Map):
+        line = getattr(value, "positions", getattr(value, "points", ()))  # of a trajectory, of a path
+        if len(line) > _INLINE_POINTS:
+            plot_line(line[np.linspace(0, len(line) - 1, _INLINE_POINTS).astype(np.int64)], ax)
+        elif isinstance(value, Map):
             value.plot(ax, level=_level_for_a_glance(value))
         else:
             value.plot(ax)
@@ -395,7 +399,9 @@ def _add_image(ax: Any, image: NDArray[Any], box: Box, **style: Any) -> Any:
     from matplotlib.image import AxesImage
 
     extent = (box[0][0], box[1][0], box[0][1], box[1][1])
-    artist = AxesImage(ax, extent=extent, origin="lower", interpolation="nearest", **style)
+    # Colours may be mixed where pixels do not meet those of the axes; numbers may not.
+    smooth = "antialiased" if image.ndim == 3 else "nearest"
+    artist = AxesImage(ax, extent=extent, origin="lower", interpolation=smooth, **style)
     artist.set_data(image)
     artist.set_clip_path(ax.patch)
     ax.add_image(artist)
