@@ -45,10 +45,12 @@ def as_lattice(given: LatticeLike, resolution: float | None = None) -> Lattice:
         if given is None or np.ndim(given) == 0:
             raise LatticeError(f"a lattice is a Lattice, a name ({', '.join(NAMES)}) or a basis, not {quoted(given)}")
         given = Lattice(given)
-    if resolution is None or resolution == given.resolution:
+    if resolution is None:
         return given
     if not isinstance(resolution, Real) or isinstance(resolution, bool) or not 0.0 < resolution < float("inf"):
         raise LatticeError(f"a resolution must be a positive number of metres, not {quoted(resolution)}")
+    if resolution == given.resolution:
+        return given
     if _is_named(given):
         return Lattice.named(given.name, resolution)  # to the last bit
     return given.scaled(float(resolution) / given.resolution)
