@@ -31,19 +31,19 @@ def public_dataclasses() -> Iterator[type]:
                 continue
             module = importlib.import_module(found.name)
             for name, value in vars(module).items():
-                if dataclasses.is_dataclass(value) and isinstance(value, type) and value.__module__ == found.name:
-                    if not name.startswith("_"):
-                        yield value
+                ours = isinstance(value, type) and value.__module__ == found.name and not name.startswith("_")
+                if ours and dataclasses.is_dataclass(value):
+                    yield value
 
 
 def test_no_dataclass_prints_arrays() -> None:
     printing = []
     for kind in public_dataclasses():
         types = [str(each.type) for each in dataclasses.fields(kind)]
-        if any(word in text for text in types for word in _ARRAYS):
-            # What a dataclass makes of itself is a wrapper of reprlib.
-            if hasattr(kind.__repr__, "__wrapped__"):
-                printing.append(f"{kind.__module__}.{kind.__name__}")
+        holds_arrays = any(word in text for text in types for word in _ARRAYS)
+        # What a dataclass makes of itself is a wrapper of reprlib.
+        if holds_arrays and hasattr(kind.__repr__, "__wrapped__"):
+            printing.append(f"{kind.__module__}.{kind.__name__}")
     assert printing == []
 
 
@@ -60,8 +60,8 @@ def values_on(case: Case) -> list[Any]:
         lattice, lattice.cell, made, made.levels[0], made.levels[0].hits, made.state(), made.diff(made), builder,
         builder.counter(), scan, Pose.identity(n), Trajectory.from_poses([0.0], [Pose.identity(n)]), graph, field,
         field.path_to([3] * n), GridMap(np.ones((2,) * n, np.uint8), 1.0, np.zeros(n)),
-        traverse(lattice, points[:1], points[1:2]), graph.box, VoxelList.empty(lattice), Replanner(graph, [0] * n, [3] * n),
-        GlobalMatcher.of_map(made), match_anywhere(made, points),
+        traverse(lattice, points[:1], points[1:2]), graph.box, VoxelList.empty(lattice),
+        Replanner(graph, [0] * n, [3] * n), GlobalMatcher.of_map(made), match_anywhere(made, points),
     ]  # fmt: skip
     return [*values, Localiser(made)] if n == 2 else values
 

@@ -52,8 +52,9 @@ def test_the_types_of_a_users_script_are_known_and_its_mistakes_are_found(tmp_pa
         (site / package).symlink_to(ROOT / package)
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
+    command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "--config-file", os.devnull]
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "--config-file", os.devnull, str(script)],
+        [*command, str(script)],
         env={**os.environ, "PYTHONPATH": str(site), "MYPYPATH": ""},
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip

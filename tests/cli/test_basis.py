@@ -104,6 +104,7 @@ def test_a_name_and_a_basis_do_not_go_together(log: Path, capsys: pytest.Capture
     assert not output.exists()
 
 
+@pytest.mark.long
 def test_the_benchmark_compares_it(tmp_path: Path) -> None:
     rows = ["." * 16] * 5 + ["....@@@@@@@@...."] + ["." * 16] * 5
     (tmp_path / "a.map").write_text(f"type octile\nheight {len(rows)}\nwidth 16\nmap\n" + "\n".join(rows) + "\n")

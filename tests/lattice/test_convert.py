@@ -61,6 +61,11 @@ def test_a_resolution_is_a_positive_number(resolution: Any) -> None:
 
 POINTS = np.array([[0.3, -0.2, 0.5], [1.1, 0.4, -0.7], [0.31, -0.19, 0.5]])
 
+
+def grid(n: int) -> GridMap:
+    return GridMap(np.ones((2,) * n, np.uint8), 0.2, np.zeros(n))
+
+
 TAKE: dict[str, Callable[[Any, int], Any]] = {
     "VoxelList.from_points": lambda on, n: VoxelList.from_points(POINTS[:, :n], on),
     "VoxelList.from_cells": lambda on, n: VoxelList.from_cells([[1] * n], on),
@@ -76,8 +81,8 @@ TAKE: dict[str, Callable[[Any, int], Any]] = {
     ).free.tolist(),
     "swept_cells": lambda on, n: swept_cells(on, [2] * n).tolist(),
     "traverse": lambda on, n: traverse(on, POINTS[:1, :n], POINTS[1:2, :n]).index.tolist(),
-    "GridMap.to_graph": lambda on, n: GridMap(np.ones((2,) * n, np.uint8), 1.0, np.zeros(n)).to_graph(on).free.tolist(),
-    "GridMap.to_states": lambda on, n: GridMap(np.ones((2,) * n, np.uint8), 1.0, np.zeros(n)).to_states(on).free,
+    "GridMap.to_graph": lambda on, n: grid(n).to_graph(on).free.tolist(),
+    "GridMap.to_states": lambda on, n: grid(n).to_states(on).free,
 }
 
 
