@@ -304,8 +304,8 @@ class LatticeGraph:
             >>> blocked = np.zeros((5, 5), bool)
             >>> blocked[2, :4] = True                         # a wall, open at its end
             >>> graph = LatticeGraph.from_array(blocked, "Z2", neighbourhood=8)
-            >>> astar(graph, [0, 0], [4, 0]).cells.tolist()
-            [[0, 0], [0, 1], [0, 2], [1, 3], [1, 4], [2, 4], [3, 4], [3, 3], [4, 2], [4, 1], [4, 0]]
+            >>> astar(graph, [0, 0], [4, 0])
+            Path(11 cells, 10.8284 m, cost 10.8284)
             >>> bool((graph.to_array() == blocked).all())
             True
         """

@@ -21,6 +21,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import one_line
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -94,7 +95,7 @@ class SurfaceMap:
         (True, True)
     """
 
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: LatticeLike) -> None:
         """Make one without points.
 
         Raises:
@@ -102,6 +103,7 @@ class SurfaceMap:
         """
         from localisation.matching import _surface_kernels as kernels
 
+        lattice = as_lattice(lattice)
         if lattice.dim != 3:
             raise ArgumentError(f"surfaces lie in space, and {lattice.name} is a lattice of the plane")
         self.lattice = lattice
