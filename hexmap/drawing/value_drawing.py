@@ -38,6 +38,7 @@ _SAMPLES = 2  # to each side of a pixel
 _MOST_PIXELS = 2000  # of the longer side of an image
 _INLINE_INCHES, _INLINE_DPI = (4.2, 3.2), 90
 _INLINE_CELLS = 300_000  # of a level in a notebook; a coarser one looks the same at that size
+_STRAYS, _ROOM = 0.005, 0.1  # of the cells on each side, and of the width of the others around these
 _INLINE_POINTS = 20_000  # of a line; more are no finer at that size
 _BLOCKED = SHADES[-2]
 _AT_ONCE = 1 << 20  # cells
@@ -177,13 +178,34 @@ def inline_picture(value: Any) -> str:
         if len(line) > _INLINE_POINTS:
             plot_line(line[np.linspace(0, len(line) - 1, _INLINE_POINTS).astype(np.int64)], ax)
         elif isinstance(value, Map):
-            value.plot(ax, level=_level_for_a_glance(value))
+            level = _level_for_a_glance(value)
+            near = _without_strays(value.levels[level].hits)
+            (value if near is None else value.crop(*near)).plot(ax, level=level)
+        elif isinstance(value, VoxelList) and (near := _without_strays(value)) is not None:
+            inside = (value.centres() >= near[0]) & (value.centres() <= near[1])
+            value.select(np.asarray(inside.all(axis=1))).plot(ax)
         else:
             value.plot(ax)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", bbox_inches="tight", metadata={"Software": None})
     text = base64.b64encode(buffer.getvalue()).decode("ascii")
     return f'<img alt="{type(value).__name__}" src="data:image/png;base64,{text}">'
+
+
+def _without_strays(cells: VoxelList) -> Box | None:
+    """Return the corners (n,), metres, of the box around all cells but the few that lie far off; None where none do.
+
+    They would make all others too small to be seen in a small picture.
+    """
+    if len(cells) == 0:
+        return None
+    centres = cells.centres()
+    least, most = centres.min(axis=0), centres.max(axis=0)
+    low, high = np.quantile(centres, (_STRAYS, 1.0 - _STRAYS), axis=0)
+    room = _ROOM * (high - low) + 2.0 * cells.lattice.covering_radius
+    if (least >= low - room).all() and (most <= high + room).all():
+        return None
+    return low - room, high + room
 
 
 def _level_for_a_glance(map: Map) -> int:

@@ -18,14 +18,14 @@ import math
 import operator
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import integers
-from hexmap.graph.arrays import as_networkx, costs_as_csr, free_of_blocked, joined, some_moves
+from hexmap.graph.arrays import ArrayViews, free_of_blocked, joined, some_moves
 from hexmap.graph.bodies import Boxes
 from hexmap.graph.clearance import Clearance, To, check_to
 from hexmap.graph.moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
@@ -37,10 +37,6 @@ from hexmap.lattice.window import IndexBox, strides
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
-
-if TYPE_CHECKING:
-    import networkx
-    import scipy.sparse
 
 __all__ = ["MAX_CELLS", "LatticeGraph", "Neighbourhood", "swept_cells"]
 
@@ -89,7 +85,7 @@ def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) 
     return answer.astype(np.bool_)
 
 
-class LatticeGraph:
+class LatticeGraph(ArrayViews):
     """The free cells of a window and the moves between them; immutable by convention.
 
     Make one with the functions ``from_...`` and :meth:`rasterise`. A move costs its length, times
@@ -504,75 +500,6 @@ class LatticeGraph:
         """Show the window and the lattice."""
         inner = " x ".join(str(int(s)) for s in self.inner_shape)
         return f"<LatticeGraph of {inner} cells and {len(self.moves)} moves on {self.lattice!r}>"
-
-    # ------------------------------------------------------------------ as arrays, and numbers
-
-    def to_array(self, values: ArrayLike | None = None) -> NDArray[Any]:
-        """Return a value a cell as an array (``inner_shape``) with an axis an index: ``array[cell - first]``.
-
-        Args:
-            values: (size,) by flat position, such as ``DistanceField.distance`` or :meth:`clearance`. None: which cells
-                are blocked, what :meth:`from_array` takes.
-
-        Raises:
-            ArgumentError: not one value for each flat position.
-        """
-        array = self.free == 0 if values is None else np.asarray(values)
-        if array.shape != (self.size,):
-            raise ArgumentError(f"values by flat position are ({self.size},), not {array.shape}")
-        return np.ascontiguousarray(self.box.without_padding(array, self.pad))
-
-    def ids_to_cells(self, ids: ArrayLike | None = None) -> NDArray[np.int32]:
-        """Return the free cells (M, n) with the numbers ``ids`` (M,), all of them where none are given.
-
-        Free cells are numbered from 0 in the order of their indices: the rows and columns of :meth:`to_csr`.
-
-        Raises:
-            ArgumentError: not integers (M,), or no free cell has such a number.
-        """
-        nodes = np.flatnonzero(self.free)
-        if ids is None:
-            return self.flat_to_index(nodes)
-        wanted = integers(ids)
-        if wanted is None or wanted.ndim != 1 or ((wanted < 0) | (wanted >= len(nodes))).any():
-            raise ArgumentError(f"the numbers of free cells are integers (M,) from 0 to {len(nodes) - 1}")
-        return self.flat_to_index(nodes[wanted])
-
-    def cells_to_ids(self, cells: ArrayLike) -> NDArray[np.int64]:
-        """Return the number (M,) of each of ``cells`` (M, n), see :meth:`ids_to_cells`; -1 where it is not free.
-
-        Examples:
-            >>> from hexmap import LatticeGraph
-            >>> graph = LatticeGraph.from_array([[0, 1], [0, 0]], "A2")
-            >>> graph.cells_to_ids([[0, 0], [0, 1], [1, 1]]).tolist()
-            [0, -1, 2]
-            >>> graph.ids_to_cells([2]).tolist()
-            [[1, 1]]
-        """
-        flat = self.index_to_flat(cells)
-        nodes = np.flatnonzero(self.free)
-        free = (flat >= 0) & (self.free[flat] != 0)
-        return np.where(free, np.searchsorted(nodes, flat), -1)
-
-    # ------------------------------------------------------------------ for other libraries
-
-    def to_csr(self) -> tuple[scipy.sparse.csr_matrix, NDArray[np.int64]]:
-        """Return the costs of all moves as a sparse matrix (M, M), and the flat positions (M,) of its free cells."""
-        return costs_as_csr(self, self.lengths, self.terrain)
-
-    def to_networkx(self) -> networkx.Graph:
-        """Return the graph for networkx: nodes are index tuples, ``weight`` is the cost of a move, metres.
-
-        Each node has its centre, metres, as ``pos``, by which networkx draws it.
-
-        Examples:
-            >>> import numpy as np
-            >>> from hexmap import LatticeGraph
-            >>> graph = LatticeGraph.from_array(np.zeros((2, 2), bool), "Z2", 0.5).to_networkx()
-            >>> graph.nodes[1, 0]["pos"], graph.edges[(0, 0), (1, 0)]["weight"]
-            ((0.5, 0.0), 0.5)
-        """
-        return as_networkx(self, *self.to_csr())
 
     # ------------------------------------------------------------------ what is connected
 

@@ -20,6 +20,7 @@ from PIL import Image
 from hexmap import LatticeGraph, Map, MapBuilder, Pose, Scan, Trajectory, VoxelList
 from hexmap.base import pictures
 from hexmap.base.errors import ArgumentError
+from hexmap.maps import Level
 from planners import dijkstra
 from tests.lattices import CASES, JIT, PLANAR, SPATIAL, Case
 
@@ -203,3 +204,16 @@ def test_values_load_no_drawing_before_a_picture_is_wanted() -> None:
 def test_the_same_map_gives_the_same_picture() -> None:
     value = map_on(PLANAR[1])
     assert value._repr_html_() == value._repr_html_()
+
+
+@pytest.mark.parametrize("case", [PLANAR[1], PLANAR[-1], SPATIAL[1]], ids=str)
+def test_a_few_strays_do_not_make_the_rest_too_small_to_see(case: Case) -> None:
+    rng = np.random.default_rng(0)
+    hall = rng.uniform(-3.0, 3.0, (1000, case.dim))
+    stray = np.full((2, case.dim), 900.0)
+    alone, together = (VoxelList.from_points(p, case.lattice) for p in (hall, np.concatenate([hall, stray])))
+    passes = VoxelList.empty(case.lattice)
+    for a, b in ((alone, together), (Map([Level(alone, passes)]), Map([Level(together, passes)]))):
+        seen = [np.asarray(inline(value._repr_html_()).convert("L")) < 240 for value in (a, b)]
+        assert 0.5 < seen[1].mean() / seen[0].mean() < 2.0
+        assert a._repr_html_() != b._repr_html_()  # the line tells of all
