@@ -7,12 +7,25 @@ The folders are the layers, and each imports only from those below it: ``cli``, 
 
 from __future__ import annotations
 
+from typing import Any
+
 import lazy_loader
 
 from hexmap.base.kernel_cache import find_kernel_cache
+from hexmap.base.pictures import draw_with
 
 # Before any module with kernels is loaded.
 find_kernel_cache()
+
+
+def _drawing() -> Any:
+    """Return what draws maps, lists of cells and trajectories, which lie in layers below it."""
+    from hexmap.drawing import value_drawing
+
+    return value_drawing
+
+
+draw_with(_drawing)
 
 # The names, and the modules they live in, stand in __init__.pyi; each is loaded when it is first used.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import numpy as np
-
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
 from hexmap.io.lidar.lidar_log import LidarLogSettings
+from hexmap.lattice.convert import LatticeLike, as_lattice, plain_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.builder import MapBuilder
 from hexmap.maps.state_rule import StateRule
@@ -24,8 +23,10 @@ class LidarSettings:
     """All settings of a map in space.
 
     Attributes:
-        lattice: name of the lattice, or its basis (columns are generators, metres) as nested lists.
-        resolution: side, metres, of the cube of the same volume as a cell (ignored with a basis).
+        lattice: a lattice, the name of one, or a basis (columns are generators, metres); kept as a name or as nested
+            lists.
+        resolution: side, metres, of the cube of the same volume as a cell; where a lattice or a basis is
+            given, that of its cells.
         levels: levels of the map, each at twice the resolution of the one before.
         min_range: points nearer than this, metres, are left out: whoever carries the sensor.
         max_range: points farther than this, metres, are left out; None for no limit.
@@ -35,7 +36,7 @@ class LidarSettings:
         log: how the log is read.
     """
 
-    lattice: str | list[list[float]] = "D3"
+    lattice: LatticeLike = "D3"
     resolution: float = 0.1
     levels: int = 3
     min_range: float = 0.5
@@ -51,6 +52,9 @@ class LidarSettings:
         Raises:
             ArgumentError: a lattice of the plane, or a number out of its range.
         """
+        lattice, resolution = plain_lattice(self.lattice, self.resolution)
+        object.__setattr__(self, "lattice", lattice)
+        object.__setattr__(self, "resolution", resolution)
         if self.make_lattice().dim != 3:
             raise ArgumentError(
                 f"a LiDAR's log cannot be mapped on {self.make_lattice().name}, a lattice of the plane; take D3"
@@ -59,9 +63,7 @@ class LidarSettings:
 
     def make_lattice(self) -> Lattice:
         """Return the lattice of the finest level."""
-        if isinstance(self.lattice, str):
-            return Lattice.named(self.lattice, self.resolution)
-        return Lattice(np.array(self.lattice))
+        return as_lattice(self.lattice, self.resolution if isinstance(self.lattice, str) else None)
 
     def in_range(self, points: FloatArray) -> FloatArray:
         """Return the points (N, 3) of the sensor's frame in the range that is mapped."""

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, TypeVar
 
-import numpy as np
-
 from hexmap.base.errors import ArgumentError, HexmapError
 from hexmap.io.logs.log import LogSettings
+from hexmap.lattice.convert import LatticeLike, as_lattice, plain_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.builder import MapBuilder
 from hexmap.maps.state_rule import StateRule
@@ -23,8 +22,10 @@ class MappingSettings:
     """All settings of a map, as plain numbers and texts: what is stored in the map file.
 
     Attributes:
-        lattice: name of the lattice, or its basis (columns are generators, metres) as nested lists.
-        resolution: side, metres, of the square of the same area as a cell (ignored with a basis).
+        lattice: a lattice, the name of one, or a basis (columns are generators, metres); kept as a name or as nested
+            lists.
+        resolution: side, metres, of the square of the same area as a cell; where a lattice or a basis is
+            given, that of its cells.
         levels: levels of the map, each at twice the resolution of the one before.
         min_range: points nearer than this, metres, are left out.
         max_range: points farther than this, metres, are left out; None for no limit.
@@ -39,7 +40,7 @@ class MappingSettings:
         log: how the log is read.
     """
 
-    lattice: str | list[list[float]] = "A2"
+    lattice: LatticeLike = "A2"
     resolution: float = 0.05
     levels: int = 3
     min_range: float = 0.0
@@ -55,6 +56,9 @@ class MappingSettings:
 
     def __post_init__(self) -> None:
         """Check what the parts do not check themselves."""
+        lattice, resolution = plain_lattice(self.lattice, self.resolution)
+        object.__setattr__(self, "lattice", lattice)
+        object.__setattr__(self, "resolution", resolution)
         if not 0 <= self.search_level < self.levels:
             raise ArgumentError(f"the search level must be 0 to {self.levels - 1}, not {self.search_level}")
         SearchWindow(self.search_metres, self.search_radians)
@@ -69,9 +73,7 @@ class MappingSettings:
 
     def make_lattice(self) -> Lattice:
         """Return the lattice of the finest level."""
-        if isinstance(self.lattice, str):
-            return Lattice.named(self.lattice, self.resolution)
-        return Lattice(np.array(self.lattice))
+        return as_lattice(self.lattice, self.resolution if isinstance(self.lattice, str) else None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain JSON values."""

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError, HexmapError
+from hexmap.base.pictures import picture_html
 from hexmap.base.text import quoted
 from hexmap.base.values import integers
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hexmap.graph.lattice_graph import LatticeGraph
 
 __all__ = [
@@ -84,6 +87,33 @@ class Path:
     def __len__(self) -> int:
         """Return the number of cells."""
         return len(self.cells)
+
+    def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
+        """Draw the path on axes of matplotlib, in metres: a ring where it starts, a disc where it ends.
+
+        Seen from above; on axes in space (``projection="3d"``) in space.
+
+        Args:
+            ax: axes to draw on, of a map or a field for example; new ones where none are given.
+            style: of the line, as :meth:`matplotlib.axes.Axes.plot` takes it: ``color``, ``linewidth``, ``label``, ...
+
+        Returns:
+            The axes.
+
+        Examples:
+            >>> import numpy as np
+            >>> from hexmap import LatticeGraph
+            >>> from planners import dijkstra
+            >>> field = dijkstra(LatticeGraph.from_array(np.zeros((9, 9), bool), "A2"), [0, 0])
+            >>> axes = field.path_to([8, 3]).plot(field.plot())
+        """
+        from hexmap.drawing.value_drawing import plot_line
+
+        return plot_line(self.points, ax, **style)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     def __repr__(self) -> str:
         """Say how long it is."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import FileAccessError, FormatError
+from hexmap.base.values import one_line
 
 if TYPE_CHECKING:
     from planners.path import Path
@@ -36,6 +37,8 @@ class PathTable:
     points: NDArray[np.float64]
     cells: NDArray[np.int32]
     length: NDArray[np.float64]
+
+    __repr__ = one_line
 
 
 def write_path(file: str | os.PathLike[str], path: Path) -> None:

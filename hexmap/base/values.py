@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from numbers import Integral, Real
 from typing import Any
@@ -9,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Immutable", "integers", "kept", "lossless", "read_only", "remade"]
+__all__ = ["Immutable", "integers", "kept", "lossless", "one_line", "read_only", "remade"]
 
+_LONGEST = 60  # characters of one attribute in a line that tells of all of them
 _EXACT = 2**53  # whole numbers up to here are float64, too
 
 
@@ -31,6 +33,34 @@ class Immutable:
 def remade(value: Any) -> tuple[Any, ...]:
     """Return what a dataclass returns as ``__reduce__``: its constructor freezes the arrays that pickle does not."""
     return type(value), tuple(getattr(value, each.name) for each in fields(value))
+
+
+def one_line(value: Any) -> str:
+    """Return what a dataclass returns as ``__repr__``: its fields in one line, of an array no more than shape and type.
+
+    Examples:
+        >>> import numpy as np
+        >>> from hexmap import Scan
+        >>> Scan(stamp=0.5, points=np.zeros((181, 2)))
+        Scan(stamp=0.5, points=<(181, 2) float64>, no_return=<(0, 2) float64>)
+    """
+    told = ((each.name, getattr(value, each.name)) for each in fields(value) if not each.name.startswith("_"))
+    said = ", ".join(f"{name}={_short(v)}" for name, v in told if v is not None)
+    return f"{type(value).__name__}({said})"
+
+
+def _short(value: Any) -> str:
+    """Return an attribute as it can stand in a line with others."""
+    if isinstance(value, np.ndarray):
+        return f"<{value.shape} {value.dtype}>"
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, (Sequence, Mapping)) and not isinstance(value, (str, bytes)) and len(value) > 4:
+        return f"<{type(value).__name__} of {len(value)}>"
+    text = repr(value)
+    if len(text) <= _LONGEST and "\n" not in text:
+        return text
+    return text[: _LONGEST - 4] + "...'" if isinstance(value, str) else f"<{type(value).__name__}>"
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -11,6 +11,7 @@ import typer
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say
 from hexmap.cli.experiments import check_folder, command_line, write_report
+from hexmap.cli.lattice_options import Bases, parse_basis
 from hexmap.cli.plan.map_source import found
 
 Number = TypeVar("Number", int, float)
@@ -43,6 +44,7 @@ def planning(
     ] = "2,4",
     planners: Annotated[str, typer.Option(help="On every grid: astar, dijkstra, canonical.")] = "astar,canonical",
     max_cells: Annotated[int, typer.Option(help="Largest window; larger ones are left out.")] = 300_000_000,
+    basis: Bases = None,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
     seed: clouds.Seed = 0,
 ) -> None:
@@ -78,7 +80,7 @@ def planning(
         angles=degrees,
         fractions=_numbers(fractions, "--fractions", int),
         max_cells=max_cells, seed=seed, planners=chosen,
-    )  # fmt: skip
+    ).with_own([parse_basis(text) for text in basis or ()])  # fmt: skip
     if any(output.glob("cases-*.jsonl")):
         say(
             f"{output}: finished cases of an earlier run are kept, with their times; "

@@ -22,6 +22,7 @@ from hexmap.cli.console import (
     warn_of_size,
     wrote,
 )
+from hexmap.cli.lattice_options import Basis, own_lattice
 from hexmap.cli.log_options import (
     AngleMin,
     AngleStep,
@@ -67,6 +68,7 @@ def build(
     lattice: Annotated[
         str | None, typer.Option(help="Z2 or A2; for a LiDAR Z3, D3 or D3*.", show_default="A2, D3")
     ] = None,
+    basis: Basis = None,
     resolution: Annotated[
         float | None, typer.Option(help="Side, m, of the square (cube) as large as a cell.", show_default="0.05, 0.1")
     ] = None,
@@ -134,6 +136,8 @@ def build(
             check_picture(path)
     in_space = is_lidar_log(logs[0])
     _check_kind(logs[0], in_space, dict(locals()))
+    own = own_lattice(lattice, basis, resolution)
+    on: Any = lattice if own is None else own.basis.tolist()
     for option, path in of_loops.items():
         if path is not None and (poses is not None or not loop_closure):
             how = "--poses" if poses is not None else "--no-loop-closure"
@@ -144,7 +148,7 @@ def build(
         _build_in_space(
             logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
             None if associate is None else associate.value, loop_closure,
-            lattice=lattice, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
+            lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
             free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
             log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
         )  # fmt: skip
@@ -162,7 +166,7 @@ def build(
         old = load_map(continue_map)
     settings = _settings(
         config if old is None or config is not None else continue_map,
-        lattice=lattice,
+        lattice=on,
         resolution=resolution,
         levels=levels,
         min_range=min_range,

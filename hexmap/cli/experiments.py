@@ -11,6 +11,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say, warn
+from hexmap.cli.lattice_options import Bases, parse_basis
 
 app = typer.Typer(
     help="The paper's evaluation, on your own scans.", no_args_is_help=True, rich_markup_mode=None, add_completion=False
@@ -30,9 +31,7 @@ def rotation(
     lattice: Annotated[
         list[str] | None, typer.Option(help="A lattice to compare; again for more.", show_default="all")
     ] = None,
-    basis: Annotated[
-        list[str] | None, typer.Option(help="A lattice of your own: its generators as x,y;x,y or x,y,z;x,y,z;x,y,z.")
-    ] = None,
+    basis: Bases = None,
     axis: Annotated[str, typer.Option(help="Axis of the rotations: x, y or z.")] = "z",
     start: Annotated[float, typer.Option(help="First angle, degrees.")] = 0.0,
     stop: Annotated[float, typer.Option(help="End of the angles, degrees; left out.")] = 180.0,
@@ -101,23 +100,6 @@ def quantiser(
     check_folder(output)
     first_run_note()
     write_report(quantiser_experiment(count=count, seed=seed, command=command_line()), output)
-
-
-def parse_basis(text: str) -> list[list[float]]:
-    """Return the basis (columns are generators) of generators written as x,y;x,y.
-
-    Raises:
-        ArgumentError: not numbers, or not as many generators as coordinates.
-    """
-    from hexmap.base.errors import ArgumentError
-
-    try:
-        rows = [[float(v) for v in row.split(",")] for row in text.split(";")]
-    except ValueError:
-        rows = []
-    if len(rows) not in (2, 3) or any(len(row) != len(rows) for row in rows):
-        raise ArgumentError(f"a basis is written as x,y;x,y or x,y,z;x,y,z;x,y,z, not {text!r}")
-    return [list(column) for column in zip(*rows, strict=True)]
 
 
 def command_line() -> str:

@@ -12,7 +12,8 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
-from hexmap.cli.experiments import Folder, check_folder, command_line, make_folder, parse_basis
+from hexmap.cli.experiments import Folder, check_folder, command_line, make_folder
+from hexmap.cli.lattice_options import Bases, parse_basis
 
 if TYPE_CHECKING:
     from localisation.experiments.settings import ExperimentSettings
@@ -26,9 +27,7 @@ def localisation(
     log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP.")],
     output: Folder,
     lattices: Annotated[str, typer.Option(help="Names; the others are compared with the first.")] = "Z2,A2",
-    basis: Annotated[
-        list[str] | None, typer.Option(help="One more lattice, of your own: its generators as x,y;x,y.")
-    ] = None,
+    basis: Bases = None,
     resolutions: Annotated[str, typer.Option(help="Resolutions, m.")] = "0.05,0.1,0.2",
     poses: Annotated[Path | None, typer.Option(help="Reference poses (TUM); without them the log is mapped.")] = None,
     test: Annotated[

@@ -1,7 +1,7 @@
 """Pictures: maps and paths as true cells in the plane, and as shaded solids in space.
 
-``map_drawing`` draws maps, ``path_drawing`` paths, ``figure_layout`` what surrounds both; ``solids`` has meshes of
-cells in space and the renderer.
+``map_drawing`` draws maps, ``path_drawing`` paths, ``figure_layout`` what surrounds both; ``value_drawing`` is behind
+the ``plot`` of values and what notebooks show; ``solids`` has meshes of cells in space and the renderer.
 """
 
 from __future__ import annotations

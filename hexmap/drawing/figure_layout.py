@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.outlines import silhouette
 from hexmap.maps.state_rule import States
@@ -66,6 +67,8 @@ class FigureLayout:
     below: float = 0.0
     y_down: bool = False
     beside: float = 0.0
+
+    __repr__ = one_line
 
     @classmethod
     def around(

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.drawing.figure_layout import (
     FAINT,
     FREE_COLOUR,
@@ -187,6 +188,8 @@ class HighestCells:
     lattice: Lattice
     centres: NDArray[np.float64]
 
+    __repr__ = one_line
+
     @property
     def heights(self) -> tuple[float, float] | None:
         """The lowest and the highest height, metres; None where there is no cell."""
@@ -337,10 +340,10 @@ def draw_areas(axes: Any, areas: list[tuple[VoxelList, str]]) -> None:
         rings = outline(cells)
         if len(rings.ends):
             # Not add_patch, which walks through the curve in Python to find limits that are fixed here.
-            axes.add_artist(_patch(rings, colour))
+            axes.add_artist(area_patch(rings, colour))
 
 
-def _patch(rings: Rings, colour: str) -> Any:
+def area_patch(rings: Rings, colour: Any) -> Any:
     """Return one filled shape of many rings."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Curve

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 
 __all__ = ["Bodies", "BodyShape", "BodyTree", "Boxes"]
@@ -35,6 +36,8 @@ class Boxes:
     frame: NDArray[np.float64]
     grain: float
     contains: Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+
+    __repr__ = one_line
 
 
 class BodyShape(NamedTuple):
@@ -91,6 +94,8 @@ class Bodies:
     shape: BodyShape
     covering: float
     inradius: float
+
+    __repr__ = one_line
 
     @classmethod
     def of_cells(cls, lattice: Lattice, cells: NDArray[np.int64]) -> Bodies:

@@ -18,27 +18,25 @@ import math
 import operator
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import integers
+from hexmap.graph.arrays import ArrayViews, free_of_blocked, joined, some_moves
 from hexmap.graph.bodies import Boxes
 from hexmap.graph.clearance import Clearance, To, check_to
 from hexmap.graph.moves import SAME_LENGTH, Neighbourhood, lengths_of, moves_of, swept_by_moves, swept_cells
 from hexmap.graph.obstacles import BlockedCells, ListedCells
 from hexmap.graph.window import CHUNK, Layout, cells_in_box, window_of_box
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.window import IndexBox, strides
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
-
-if TYPE_CHECKING:
-    import networkx
-    import scipy.sparse
 
 __all__ = ["MAX_CELLS", "LatticeGraph", "Neighbourhood", "swept_cells"]
 
@@ -79,12 +77,6 @@ def _checked_size(inner: list[int], shape: list[int], most: int) -> int:
     return size
 
 
-def _joined(lists: list[NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where each list begins in all of them one after the other (K + 1,), and these (S,)."""
-    starts = np.concatenate([[0], np.cumsum([len(s) for s in lists])]).astype(np.int64)
-    return starts, np.ascontiguousarray(np.concatenate(lists), dtype=np.int64)
-
-
 def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return what a user's function says of points (N, n), as (N,) booleans."""
     answer = np.asarray(asked(points))
@@ -93,7 +85,7 @@ def _answers(name: str, asked: Callable[..., Any], points: NDArray[np.float64]) 
     return answer.astype(np.bool_)
 
 
-class LatticeGraph:
+class LatticeGraph(ArrayViews):
     """The free cells of a window and the moves between them; immutable by convention.
 
     Make one with the functions ``from_...`` and :meth:`rasterise`. A move costs its length, times
@@ -127,7 +119,7 @@ class LatticeGraph:
 
     def __init__(
         self,
-        lattice: Lattice,
+        lattice: LatticeLike,
         first: ArrayLike,
         inner_shape: ArrayLike,
         neighbourhood: Neighbourhood = None,
@@ -140,8 +132,8 @@ class LatticeGraph:
                 there is no such neighbourhood.
             BoundsError: the window leaves the range of indices.
         """
+        self.lattice = lattice = as_lattice(lattice)
         start, inner = _window_numbers(lattice, first, inner_shape)
-        self.lattice = lattice
         self.moves = moves_of(lattice, neighbourhood)
         self.lengths = lengths_of(lattice, self.moves)
         swept = swept_by_moves(lattice, self.moves)
@@ -156,7 +148,7 @@ class LatticeGraph:
         self.low = np.array(start, dtype=np.int64) - self.pad
         self.strides = strides(self.shape)
         self.offsets = self.moves @ self.strides
-        self.swept_starts, self.swept = _joined([s @ self.strides for s in swept])
+        self.swept_starts, self.swept = joined([s @ self.strides for s in swept])
         self.free = np.zeros(self.size, np.uint8)
         self.terrain: NDArray[np.float64] | None = None
         self.equal_edges = bool(np.ptp(self.lengths) <= SAME_LENGTH * self.lengths.max())
@@ -269,9 +261,59 @@ class LatticeGraph:
         return graph
 
     @classmethod
+    def from_array(
+        cls,
+        blocked: ArrayLike,
+        lattice: LatticeLike,
+        resolution: float | None = None,
+        *,
+        first: ArrayLike | None = None,
+        neighbourhood: Neighbourhood = None,
+        max_cells: int = MAX_CELLS,
+    ) -> LatticeGraph:
+        """Make the graph of an array that says which cells are blocked, with an axis for each index of the lattice.
+
+        ``blocked[i, j]`` (``[i, j, k]`` in space) is the cell ``first + (i, j)``, whose centre lies at
+        ``lattice.basis @ (first + (i, j))`` metres. So on squares the first axis runs along x and the second along y:
+        of a picture, whose rows run downwards, take ``picture[::-1].T``. On hexagons the array covers a parallelogram:
+        the second axis runs along y, the first 30 degrees above x. A map in squares is laid over any lattice, in
+        metres, by :meth:`GridMap.to_graph <hexmap.io.grids.GridMap.to_graph>`. :meth:`to_array` gives the array back.
+
+        Clearance is measured from the array's blocked cells; what lies outside it is no obstacle.
+
+        Args:
+            blocked: booleans or integers; what is not 0 is blocked.
+            lattice: a lattice of as many dimensions as the array, the name of one, or a basis.
+            resolution: of its cells, metres; see :func:`~hexmap.lattice.as_lattice`.
+            first: index (n,) of the array's first cell, 0 where none is given.
+            neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
+            max_cells: how large a window may be, padding included.
+
+        Raises:
+            ArgumentError: not an array of that kind, or too large.
+            BoundsError: the array leaves the range of indices.
+
+        Examples:
+            >>> import numpy as np
+            >>> from hexmap import LatticeGraph
+            >>> from planners import astar
+            >>> blocked = np.zeros((5, 5), bool)
+            >>> blocked[2, :4] = True                         # a wall, open at its end
+            >>> graph = LatticeGraph.from_array(blocked, "Z2", neighbourhood=8)
+            >>> astar(graph, [0, 0], [4, 0])
+            Path(11 cells, 10.8284 m, cost 10.8284)
+            >>> bool((graph.to_array() == blocked).all())
+            True
+        """
+        on = as_lattice(lattice, resolution)
+        free = free_of_blocked(blocked, on)
+        start = np.zeros(on.dim, np.int64) if first is None else first
+        return cls.from_states(on, start, free, neighbourhood=neighbourhood, max_cells=max_cells)
+
+    @classmethod
     def from_states(
         cls,
-        lattice: Lattice,
+        lattice: LatticeLike,
         low: ArrayLike,
         free: ArrayLike,
         *,
@@ -286,6 +328,7 @@ class LatticeGraph:
             ArgumentError: not an array of that kind, or too large.
             BoundsError: the array leaves the range of indices.
         """
+        lattice = as_lattice(lattice)
         states = np.asarray(free)
         if states.ndim != lattice.dim or states.dtype not in (np.dtype(np.uint8), np.dtype(np.bool_)):
             raise ArgumentError(
@@ -299,7 +342,7 @@ class LatticeGraph:
     def rasterise(
         cls,
         free_at: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
-        lattice: Lattice,
+        lattice: LatticeLike,
         low_metres: ArrayLike,
         high_metres: ArrayLike,
         *,
@@ -312,7 +355,7 @@ class LatticeGraph:
 
         Args:
             free_at: takes points (N, n), metres, and tells for each whether it is free.
-            lattice: the lattice to rasterise onto.
+            lattice: the lattice to rasterise onto, its name or its basis.
             low_metres: low corner (n,) of the box, metres.
             high_metres: high corner. Cells whose centre is not in the box (corners included) are blocked.
             neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
@@ -331,6 +374,7 @@ class LatticeGraph:
             BoundsError: the box leaves the range of indices.
         """
         low, high = np.array(low_metres, dtype=np.float64), np.array(high_metres, dtype=np.float64)
+        lattice = as_lattice(lattice)
         n = lattice.dim
         if low.shape != (n,) or high.shape != (n,) or not (np.isfinite([low, high]).all() and (low <= high).all()):
             raise ArgumentError(f"a box in dimension {n} takes two corners of {n} finite numbers, the low one first")
@@ -457,55 +501,6 @@ class LatticeGraph:
         inner = " x ".join(str(int(s)) for s in self.inner_shape)
         return f"<LatticeGraph of {inner} cells and {len(self.moves)} moves on {self.lattice!r}>"
 
-    # ------------------------------------------------------------------ for other libraries
-
-    def to_csr(self) -> tuple[scipy.sparse.csr_matrix, NDArray[np.int64]]:
-        """Return the costs of all moves as a sparse matrix (M, M), and the flat positions (M,) of its free cells."""
-        from scipy.sparse import csr_matrix
-
-        from hexmap.graph import _kernels as kernels
-
-        nodes = np.flatnonzero(self.free).astype(np.int64)
-        # By flat offset, so that the columns of each row ascend, as scipy wants them.
-        order = np.argsort(self.offsets)
-        offsets, starts, swept = self._some_moves(order)
-        rows = np.empty(len(nodes) + 1, np.int64)
-        kernels.count_edges(self.free, nodes, offsets, starts, swept, rows)
-        number = np.empty(self.size, np.int32)
-        number[nodes] = np.arange(len(nodes), dtype=np.int32)
-        wide = rows[-1] > _FLAT_LIMIT
-        columns = np.empty(rows[-1], np.int64 if wide else np.int32)
-        costs = np.empty(rows[-1], np.float64)
-        terrain = np.empty(0) if self.terrain is None else self.terrain
-        kernels.fill_edges(
-            self.free, nodes, offsets, starts, swept, self.lengths[order], terrain, number, columns, costs
-        )
-        rows = rows if wide else rows.astype(np.int32)
-        return csr_matrix((costs, columns, rows), shape=(len(nodes), len(nodes))), nodes
-
-    def _some_moves(self, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return offsets, starts and swept cells, as the graph's attributes are, of some moves in another order."""
-        starts, swept = _joined([self.swept[self.swept_starts[k] : self.swept_starts[k + 1]] for k in which])
-        return self.offsets[which], starts, swept
-
-    def to_networkx(self) -> networkx.Graph:
-        """Return the graph for networkx: nodes are index tuples, ``weight`` is the cost of a move, metres."""
-        import networkx as nx
-
-        matrix, nodes = self.to_csr()
-        names = [tuple(row) for row in self.flat_to_index(nodes).tolist()]
-        edges = matrix.tocoo()
-        once = edges.row < edges.col
-        graph = nx.Graph()
-        graph.add_nodes_from(names)
-        graph.add_weighted_edges_from(
-            (names[a], names[b], c)
-            for a, b, c in zip(
-                edges.row[once].tolist(), edges.col[once].tolist(), edges.data[once].tolist(), strict=True
-            )
-        )
-        return graph
-
     # ------------------------------------------------------------------ what is connected
 
     def components(self) -> NDArray[np.int32]:
@@ -517,7 +512,7 @@ class LatticeGraph:
             from hexmap.graph import _kernels as kernels
 
             labels = np.empty(self.size, np.int32)
-            kernels.label(self.free, *self._some_moves(np.flatnonzero(self.offsets < 0)), labels)
+            kernels.label(self.free, *some_moves(self, np.flatnonzero(self.offsets < 0)), labels)
             self._labels = labels
         return self._labels
 

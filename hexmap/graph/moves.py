@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import integers
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.window import IndexBox
 
@@ -19,7 +20,7 @@ SAME_LENGTH = 1e-12  # lengths that agree to this fraction are the same
 _TOUCH = 1e-9  # a cell is swept if the line comes this near to it, as a fraction of its width
 
 
-def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
+def swept_cells(lattice: LatticeLike, move: ArrayLike) -> NDArray[np.int64]:
     """Return the cells (S, n) that the straight line from the cell 0 to the cell ``move`` (n,) touches between.
 
     All cells whose closed Voronoi cell meets the line between the two centres, to 1e-9 of a cell,
@@ -31,6 +32,7 @@ def swept_cells(lattice: Lattice, move: ArrayLike) -> NDArray[np.int64]:
         >>> swept_cells(Lattice.named("Z2"), [1, 1]).tolist()
         [[0, 1], [1, 0]]
     """
+    lattice = as_lattice(lattice)
     v = integers(move)
     if v is None or v.shape != (lattice.dim,):
         raise ArgumentError(f"a move on {lattice.name} takes {lattice.dim} integers, not {move!r}")

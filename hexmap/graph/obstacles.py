@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hexmap.base.values import one_line
 from hexmap.graph.window import Window, cells_in_box
 
 __all__ = ["BlockedCells", "FoundCells", "ListedCells", "ObstacleCells"]
@@ -39,6 +40,8 @@ class ListedCells:
 
     index: NDArray[np.int64]
 
+    __repr__ = one_line
+
     def find(self, window: Window) -> FoundCells:
         """Return all of them."""
         return FoundCells(self.index, None)
@@ -57,6 +60,8 @@ class BlockedCells:
     states: NDArray[np.uint8]
     box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     outside: bool = False
+
+    __repr__ = one_line
 
     def find(self, window: Window) -> FoundCells:
         """Return those on the surface."""

@@ -128,6 +128,10 @@ class Cell(Immutable):
         values = {"faces": read_only(faces), "normals": read_only(normals), "vertices": read_only(vertices)}
         self.__dict__.update(values, rings=tuple(read_only(ring) for ring in rings))
 
+    def __repr__(self) -> str:
+        """Say how many faces and corners it has."""
+        return f"<Cell of {len(self.faces)} faces and {len(self.vertices)} corners>"
+
     @cached_property
     def second_moment(self) -> float:
         """Dimensionless second moment G = (1/n) integral |x|^2 / V^(1 + 2/n)."""

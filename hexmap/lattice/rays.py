@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, TooLargeError
-from hexmap.base.values import lossless
-from hexmap.lattice.lattice import Lattice
+from hexmap.base.values import lossless, one_line
+from hexmap.lattice.convert import LatticeLike, as_lattice
 
 __all__ = ["RayCells", "traverse"]
 
@@ -28,6 +28,8 @@ class RayCells:
     index: NDArray[np.int32]
     offsets: NDArray[np.int64]
 
+    __repr__ = one_line
+
     def __len__(self) -> int:
         """Return the number of rays."""
         return len(self.offsets) - 1
@@ -43,7 +45,7 @@ class RayCells:
         return self.index[keep]
 
 
-def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
+def traverse(lattice: LatticeLike, starts: ArrayLike, ends: ArrayLike) -> RayCells:
     """Return the cells that the straight lines from ``starts`` to ``ends`` (R, n), metres, pass in order.
 
     The first is the cell of the start and the last that of the end, by the quantiser's tie rule;
@@ -55,6 +57,7 @@ def traverse(lattice: Lattice, starts: ArrayLike, ends: ArrayLike) -> RayCells:
         BoundsError: an end is not finite or out of range.
         TooLargeError: the rays pass too many cells for one call.
     """
+    lattice = as_lattice(lattice)
     given = lossless(starts), lossless(ends)
     if given[0] is None or given[1] is None:
         raise ArgumentError("the ends of rays must be real numbers without a mask")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.values import one_line
 
 __all__ = ["IndexBox", "box_coordinates", "strides"]
 
@@ -58,6 +59,8 @@ class IndexBox:
 
     low: IntArray
     shape: IntArray
+
+    __repr__ = one_line
 
     @classmethod
     def of_cells(cls, index: NDArray[np.integer[Any]]) -> IndexBox:

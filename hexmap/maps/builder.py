@@ -11,6 +11,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
 from hexmap.base.text import reason
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.counter import HITS, PASSES, CellCounter
 from hexmap.maps.map import Level, Map
@@ -23,8 +24,8 @@ class MapBuilder:
 
     Examples:
         >>> import numpy as np
-        >>> from hexmap import Lattice, MapBuilder, Pose, Scan
-        >>> builder = MapBuilder(Lattice.named("A2", resolution=0.1), levels=2)
+        >>> from hexmap import MapBuilder, Pose, Scan
+        >>> builder = MapBuilder("A2", levels=2, resolution=0.1)
         >>> builder.fuse(Scan(stamp=0.0, points=np.array([[2.0, 0.0]])), Pose.planar(0.0, 0.0, 0.0))
         >>> len(builder.build().levels[0].hits)
         1
@@ -32,9 +33,10 @@ class MapBuilder:
 
     def __init__(
         self,
-        lattice: Lattice,
+        lattice: LatticeLike,
         levels: int = 3,
         *,
+        resolution: float | None = None,
         min_range: float = 0.0,
         max_range: float = float("inf"),
         clear_no_return: float = 0.0,
@@ -43,8 +45,9 @@ class MapBuilder:
         """Make an empty builder.
 
         Args:
-            lattice: the lattice of the finest level.
+            lattice: that of the finest level: a lattice, the name of one, or a basis.
             levels: how many levels, each of twice the resolution of the one before.
+            resolution: of the finest level, metres; see :func:`~hexmap.lattice.as_lattice`.
             min_range: points nearer to the sensor than this, metres, are left out (the robot itself).
             max_range: points farther than this, metres, are left out; their beams still clear the
                 cells up to this range.
@@ -62,6 +65,7 @@ class MapBuilder:
             raise ArgumentError(f"the ranges must be 0 <= minimum < maximum, not {min_range:g} and {max_range:g}")
         if not 0.0 <= clear_no_return < float("inf"):
             raise ArgumentError(f"beams without return clear 0 metres or more, not {clear_no_return:g}")
+        lattice = as_lattice(lattice, resolution)
         self._counters = [CellCounter(lattice.scaled(2.0**k)) for k in range(levels)]
         self._min_range = min_range
         self._max_range = max_range
@@ -73,6 +77,10 @@ class MapBuilder:
     def lattice(self) -> Lattice:
         """The lattice of the finest level."""
         return self._counters[0].lattice
+
+    def __repr__(self) -> str:
+        """Say how many scans there are, and on what."""
+        return f"<MapBuilder of {self.scans} scans, {len(self._counters)} levels on {self.lattice!r}>"
 
     def counter(self, level: int = 0) -> CellCounter:
         """Return the counts of a level as they are now, for reading."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import TooLargeError
 from hexmap.base.values import read_only
-from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.rays import MAX_CELLS, traverse
 from hexmap.maps.voxel_list import VoxelList
 
@@ -36,11 +36,11 @@ class CellCounter:
     A count takes four bytes until one of them is full, then all take eight: they never wrap.
     """
 
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: LatticeLike) -> None:
         """Make an empty counter on ``lattice``."""
         from hexmap.maps import _counter_kernels as kernels
 
-        self.lattice = lattice
+        self.lattice = lattice = as_lattice(lattice)
         bits = _BITS[lattice.dim]
         self._arrays = kernels.TileArrays(
             np.full(1024, _EMPTY, np.int64),
@@ -53,6 +53,10 @@ class CellCounter:
         self._used = 0
         self._noted = 0
         self._followers: list[Follower] = []
+
+    def __repr__(self) -> str:
+        """Show the lattice."""
+        return f"<CellCounter on {self.lattice!r}>"
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out spare tiles and those who follow: what they hold is made anew when they follow again."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.lattice.keys import KeyArray, pack, unpack
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.state_rule import States
@@ -40,6 +41,8 @@ class Cubes:
     cells: tuple[int, int]
     shared: int
     buried: int
+
+    __repr__ = one_line
 
     def words(self) -> str:
         """Say in a line what the cubes lose of the cells."""

@@ -10,19 +10,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, LatticeError
-from hexmap.base.values import Immutable
+from hexmap.base.pictures import drawing, picture_html
+from hexmap.base.text import quoted
+from hexmap.base.values import Immutable, lossless
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.origin import frames_of, logs_in_words, sources_in_frame
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["Level", "Map", "MapDiff"]
 
@@ -137,6 +142,58 @@ class Map(Immutable):
             VoxelList(at.lattice, keys[occupied], hits[occupied]), VoxelList(at.lattice, keys[free], passes[free])
         )
 
+    def state_at(self, points: ArrayLike, level: int = 0, rule: StateRule | None = None) -> NDArray[np.uint8]:
+        """Return what is at points: occupied, free or unknown, as :meth:`state` has it of their cells.
+
+        Args:
+            points: (N, n) metres, in the map's frame.
+            level: which level, 0 is the finest.
+            rule: what a cell is, from its hits and passes; the default rule where none is given.
+
+        Returns:
+            (N,) uint8 codes of :class:`~hexmap.maps.CellState`; unknown (0) wherever the map does not reach.
+
+        Raises:
+            ArgumentError: not points (N, n), or there is no such level.
+            BoundsError: a point is not finite.
+
+        Examples:
+            >>> from hexmap import CellState, MapBuilder, Pose, Scan
+            >>> builder = MapBuilder("A2", resolution=0.1)
+            >>> builder.fuse(Scan(stamp=0.0, points=[[2.0, 0.0]]), Pose.identity(2))
+            >>> codes = builder.build().state_at([[2.0, 0.0], [1.0, 0.01], [9.0, 9.0]])
+            >>> [CellState(code).name for code in codes]
+            ['OCCUPIED', 'FREE', 'UNKNOWN']
+        """
+        lattice = self.level(level).lattice
+        given = lossless(points)
+        if given is None or (given.size and (given.ndim != 2 or given.shape[1] != lattice.dim)):
+            raise ArgumentError(f"points in this map are real numbers (N, {lattice.dim}), not {quoted(points)}")
+        at = given.astype(np.float64).reshape(-1, lattice.dim)
+        if not np.isfinite(at).all():
+            lattice.quantise(at)  # raises, naming the row
+        states = self._known(level, rule or StateRule())
+        out = np.full(len(at), CellState.UNKNOWN, np.uint8)
+        # What lies beyond the range of indices, or within a cell of its end, is unknown as well.
+        inverse = np.linalg.inv(lattice.basis)
+        room = lattice.limit - 1.0 - np.abs(lattice.cell.vertices @ inverse.T).max(axis=0)
+        near = (np.abs(at @ inverse.T) < room).all(axis=1)
+        out[near] = states.of(lattice.quantise(at[near]))
+        return out
+
+    def _known(self, level: int, rule: StateRule) -> States:
+        """Return the states of a level, the last ones asked for without computing them again."""
+        last = self.__dict__.get("_last")
+        if last is None or last[0] != (level, rule):
+            last = (level, rule), self.state(rule, level)
+            self.__dict__["_last"] = last
+        states: States = last[1]
+        return states
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what can be computed again."""
+        return {name: value for name, value in self.__dict__.items() if name != "_last"}
+
     def merge(self, other: Map, *, same_frame: bool = False) -> Map:
         """Return the map of both logs: counts added cell by cell; associative and commutative.
 
@@ -230,6 +287,39 @@ class Map(Immutable):
             return None
         centres = VoxelList(self.level(level).lattice, keys, np.ones_like(keys)).centres()
         return centres.min(axis=0), centres.max(axis=0)
+
+    def plot(
+        self, ax: Axes | None = None, *, level: int = 0, rule: StateRule | None = None, height: float | None = None
+    ) -> Axes:
+        """Draw a level on axes of matplotlib, in metres: occupied cells, darker the more hits, free and unknown ones.
+
+        A map in space is seen from above, the highest occupied cell of each column in the colour of its height; or cut
+        through. :func:`hexmap.draw_map` writes a finished picture instead.
+
+        Args:
+            ax: axes to draw on; new ones where none are given.
+            level: which level, 0 is the finest.
+            rule: what a cell is, from its hits and passes.
+            height: of a horizontal cut through a map in space, metres.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ArgumentError: no such level; a height that is not finite, or of a map in the plane.
+
+        Examples:
+            >>> from hexmap import MapBuilder, Pose, Scan, Trajectory
+            >>> builder = MapBuilder("Z2", resolution=0.1)
+            >>> builder.fuse(Scan(stamp=0.0, points=[[2.0, 0.0]]), Pose.identity(2))
+            >>> axes = builder.build().plot()
+            >>> axes = Trajectory.from_poses([0.0], [Pose.identity(2)]).plot(axes)     # on the same axes
+        """
+        return drawing().plot_map(self, ax, level=level, rule=rule, height=height)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two maps are the same, cell by cell, and came from the same logs."""

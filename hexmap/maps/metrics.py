@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hexmap.base.errors import ArgumentError
-from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.maps.voxel_list import VoxelList
 
 __all__ = ["coefficient_of_variation", "distortion", "interquartile_variability", "voxel_count"]
 
 
-def voxel_count(points: ArrayLike, lattice: Lattice) -> int:
+def voxel_count(points: ArrayLike, lattice: LatticeLike, resolution: float | None = None) -> int:
     """Return how many cells it takes to hold ``points`` (N, n), metres."""
-    return len(VoxelList.from_points(points, lattice))
+    return len(VoxelList.from_points(points, lattice, resolution))
 
 
-def distortion(points: ArrayLike, lattice: Lattice) -> float:
+def distortion(points: ArrayLike, lattice: LatticeLike, resolution: float | None = None) -> float:
     """Return the mean distance, metres, from ``points`` (N, n) to the centres of their cells.
 
     Raises:
@@ -26,7 +26,8 @@ def distortion(points: ArrayLike, lattice: Lattice) -> float:
     p = np.asarray(points, dtype=np.float64)
     if len(p) == 0:
         raise ArgumentError("the distortion of no points is not defined")
-    error = p - lattice.centres(lattice.quantise(p))
+    on = as_lattice(lattice, resolution)
+    error = p - on.centres(on.quantise(p))
     return float(np.sqrt((error**2).sum(axis=1)).mean())
 
 

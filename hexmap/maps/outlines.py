@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hexmap.base.values import one_line
 from hexmap.lattice.keys import key_delta, pack
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.window import IndexBox
@@ -83,6 +84,8 @@ class Rings:
 
     points: NDArray[np.float64]
     ends: NDArray[np.int64]
+
+    __repr__ = one_line
 
 
 def outline(cells: VoxelList) -> Rings:

@@ -10,15 +10,20 @@ from __future__ import annotations
 
 import itertools
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
+from hexmap.base.pictures import drawing, picture_html
 from hexmap.base.values import Immutable, integers, kept, read_only
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.keys import KeyArray, key_delta, layout, pack, unpack
 from hexmap.lattice.lattice import Lattice
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["VoxelList"]
 
@@ -51,7 +56,7 @@ class VoxelList(Immutable):
     keys: KeyArray
     counts: CountArray
 
-    def __init__(self, lattice: Lattice, keys: KeyArray, counts: CountArray) -> None:
+    def __init__(self, lattice: LatticeLike, keys: KeyArray, counts: CountArray) -> None:
         """Wrap columns that are already sorted and unique; use the ``from_`` functions otherwise.
 
         Columns that can be written to are copied.
@@ -62,7 +67,7 @@ class VoxelList(Immutable):
         keys, counts = kept(keys, np.int64), kept(counts, np.int64)
         if keys.ndim != 1 or keys.shape != counts.shape:
             raise ArgumentError(f"keys and counts are two columns of the same length, not {keys.shape}, {counts.shape}")
-        object.__setattr__(self, "lattice", lattice)
+        object.__setattr__(self, "lattice", as_lattice(lattice))
         object.__setattr__(self, "keys", keys)
         object.__setattr__(self, "counts", counts)
 
@@ -71,28 +76,35 @@ class VoxelList(Immutable):
         return VoxelList, (self.lattice, self.keys, self.counts)
 
     @classmethod
-    def empty(cls, lattice: Lattice) -> VoxelList:
+    def empty(cls, lattice: LatticeLike) -> VoxelList:
         """Return the list without a point: the identity of :meth:`merge`."""
         return cls(lattice, read_only(np.empty(0, np.int64)), read_only(np.empty(0, np.int64)))
 
     @classmethod
-    def from_points(cls, points: ArrayLike, lattice: Lattice) -> VoxelList:
+    def from_points(cls, points: ArrayLike, lattice: LatticeLike, resolution: float | None = None) -> VoxelList:
         """Quantise ``points`` (N, n), metres, and count them by lattice point.
+
+        Args:
+            points: (N, n) metres.
+            lattice: a lattice, the name of one, or a basis.
+            resolution: of the cells, metres; see :func:`~hexmap.lattice.as_lattice`.
 
         Raises:
             ArgumentError: the array is not (N, n).
             BoundsError: a point is not finite or out of range.
         """
-        return cls._from_index(lattice.quantise(points), lattice)
+        on = as_lattice(lattice, resolution)
+        return cls._from_index(on.quantise(points), on)
 
     @classmethod
-    def from_cells(cls, index: ArrayLike, lattice: Lattice, counts: ArrayLike | None = None) -> VoxelList:
+    def from_cells(cls, index: ArrayLike, lattice: LatticeLike, counts: ArrayLike | None = None) -> VoxelList:
         """Make a list of indices (M, n), which may repeat, with a count each (1 where none is given).
 
         Raises:
             ArgumentError: shapes that do not fit, indices that are not integers, or a count below 1.
             BoundsError: an index is out of range, or the counts of a cell add up to more than 2^63 - 1.
         """
+        lattice = as_lattice(lattice)
         i = lattice.check_index(cls._integers(index, lattice))
         if counts is None:
             return cls._from_index(i, lattice)
@@ -202,6 +214,34 @@ class VoxelList(Immutable):
     def __repr__(self) -> str:
         """Show size and lattice."""
         return f"<VoxelList of {len(self)} points on {self.lattice!r}>"
+
+    def plot(self, ax: Axes | None = None, *, height: float | None = None, **style: Any) -> Axes:
+        """Draw the cells on axes of matplotlib, in metres; the darker, the more often they were hit.
+
+        In space they are seen from above, the highest of each column in the colour of its height; or cut through.
+
+        Args:
+            ax: axes to draw on; new ones where none are given.
+            height: of a horizontal cut through cells in space, metres.
+            style: ``colour`` for one colour instead of shades; ``alpha``.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ArgumentError: a height that is not finite, or of cells in the plane.
+
+        Examples:
+            >>> from hexmap import VoxelList
+            >>> axes = VoxelList.from_points([[0.0, 0.0], [0.3, 0.1]], "A2", 0.1).plot()
+            >>> axes.get_xlabel(), axes.get_ylabel()
+            ('x, m', 'y, m')
+        """
+        return drawing().plot_cells(self, ax, height=height, **style)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     # ------------------------------------------------------------------ algebra
 

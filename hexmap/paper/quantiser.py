@@ -13,6 +13,7 @@ from hexmap.base.errors import ArgumentError
 from hexmap.experiments.report.report import Report
 from hexmap.experiments.statistics import Interval
 from hexmap.experiments.timing import median_seconds
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import NAMES, Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.paper.cases import random_rotation
@@ -33,12 +34,12 @@ def _with_error(values: NDArray[np.float64]) -> Interval:
 
 
 def quantiser_experiment(
-    lattices: Sequence[Lattice] | None = None, *, count: int = 1_000_000, seed: int = 0, command: str = ""
+    lattices: Sequence[LatticeLike] | None = None, *, count: int = 1_000_000, seed: int = 0, command: str = ""
 ) -> Report:
     """Measure each lattice's quantiser on uniform data and return the report.
 
     Args:
-        lattices: which; by default all named ones at resolution 1.
+        lattices: lattices, names or bases; by default all named ones, at resolution 1.
         count: points a lattice and measurement.
         seed: of the points.
         command: the command line, for the report.
@@ -48,7 +49,7 @@ def quantiser_experiment(
     """
     if count < 1000:
         raise ArgumentError(f"the experiment needs 1,000 points or more, not {count}")
-    lattices = list(lattices or (Lattice.named(name) for name in NAMES))
+    measured = [as_lattice(lattice) for lattice in lattices or NAMES]
     report = Report("Lattices as quantisers", command, {"points": count, "seed": seed})
     report.paragraph(
         f"{count:,} uniform points over whole unit cells of each lattice, cells of area or volume 1. Exact values come "
@@ -56,7 +57,7 @@ def quantiser_experiment(
     )
     moments, volumes, moved, costs = [], [], [], []
     listing_base: dict[int, float] = {}  # by the dimension: seconds of its first lattice, the square or cubic one
-    for k, given in enumerate(lattices):
+    for k, given in enumerate(measured):
         lattice = given.scaled(1.0 / given.resolution)
         # One generator a lattice, drawn from in this order.
         rng = np.random.default_rng([seed, k])

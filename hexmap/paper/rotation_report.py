@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hexmap.base.values import one_line
 from hexmap.experiments.report.figures import COLOURS, figure_style
 from hexmap.experiments.report.report import Report
 from hexmap.experiments.statistics import Interval, Statistic, bootstrap, bootstrap_ratio, cv, interquartile_factor
@@ -62,6 +63,8 @@ class Sample:
     block: int
     seed: int
 
+    __repr__ = one_line
+
     def interval(self, k: int, statistic: Statistic) -> Interval:
         """Return a statistic on the k-th lattice."""
         return bootstrap(self.values[k], statistic, rng=np.random.default_rng([self.seed, 1]), block=self.block)
@@ -88,6 +91,8 @@ class RotationResults:
     lattices: list[Lattice]
     settings: RotationSettings
     samples: Mapping[tuple[str, str], Sample]
+
+    __repr__ = one_line
 
     @property
     def base(self) -> Lattice:

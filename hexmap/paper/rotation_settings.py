@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexmap.base.errors import ArgumentError
+from hexmap.lattice.convert import LatticeLike, as_lattice, plain_basis
 from hexmap.lattice.lattice import Lattice
 
 __all__ = ["RotationSettings"]
@@ -22,7 +23,8 @@ class RotationSettings:
         axis: "x", "y" or "z" (in the plane always z).
         start, stop, step: degrees; ``stop`` is left out, as 180 is 0 again for the cubic lattice.
         random: how many uniformly random rigid transforms.
-        lattices: names; the square or cubic one is put first. None: all of the points' dimension.
+        lattices: names, lattices or bases, all scaled; the square or cubic one is put first. None: all named ones of
+            the points' dimension. What has no name is kept among ``own``.
         own: bases of further lattices, columns are generators in any unit: they are scaled.
         seed: of the random transforms and of the bootstrap.
     """
@@ -33,12 +35,17 @@ class RotationSettings:
     stop: float = 180.0
     step: float = 5.0
     random: int = 200
-    lattices: tuple[str, ...] | None = None
+    lattices: tuple[LatticeLike, ...] | None = None
     own: tuple[list[list[float]], ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        if self.lattices is not None:
+            given = [plain_basis(lattice) for lattice in self.lattices]
+            own = tuple([list(row) for row in basis] for basis in given if not isinstance(basis, str))
+            object.__setattr__(self, "lattices", tuple(name for name in given if isinstance(name, str)))
+            object.__setattr__(self, "own", (*self.own, *own))
         if not (math.isfinite(self.resolution) and self.resolution > 0):
             raise ArgumentError(f"a resolution must be a positive number of metres, not {self.resolution}")
         if self.axis not in ("x", "y", "z"):
@@ -62,8 +69,9 @@ class RotationSettings:
             ArgumentError: a lattice is of another dimension than the points.
         """
         base = "Z2" if dim == 2 else "Z3"
-        names = self.lattices or (("Z2", "A2") if dim == 2 else ("Z3", "D3", "D3*", "A2xZ"))
-        made = [Lattice.named(name, self.resolution) for name in names]
+        usual = ("Z2", "A2") if dim == 2 else ("Z3", "D3", "D3*", "A2xZ")
+        names = usual if self.lattices is None else self.lattices
+        made = [as_lattice(given, self.resolution) for given in names]
         twice = next((v.name for k, v in enumerate(made) if v in made[:k]), None)
         if twice is not None:
             raise ArgumentError(f"the lattice {twice} is named twice")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from hexmap.base.values import one_line
 from hexmap.experiments.report.elements import Outcome, Verdict
 from hexmap.experiments.report.numbers import format_interval
 from hexmap.experiments.statistics import Interval
@@ -39,6 +40,8 @@ class Evidence:
     distortions: Sequence[Interval]
     steadiness: Sequence[Interval]
     costs: Sequence[float]
+
+    __repr__ = one_line
 
     @property
     def base(self) -> Lattice:

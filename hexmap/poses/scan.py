@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.text import quoted
-from hexmap.base.values import kept, lossless, remade
+from hexmap.base.values import kept, lossless, one_line, remade
 from hexmap.poses.pose import Pose
 
 __all__ = ["Event", "Odometry", "Scan"]
@@ -60,6 +60,8 @@ class Scan:
     line: int | None = None
     times: NDArray[np.float64] | None = None
     intensity: NDArray[np.float64] | None = None
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Make the arrays contiguous float64 and read-only, and check that their shapes fit."""

@@ -10,16 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray, frozen
 from hexmap.base.errors import ArgumentError, TrajectoryError
-from hexmap.base.values import remade
+from hexmap.base.pictures import drawing, picture_html
+from hexmap.base.values import one_line, remade
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import quaternions_to_rotations
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["Relations", "Trajectory"]
 
@@ -163,6 +167,30 @@ class Trajectory:
         found = order[np.where(use_left, left, right)].astype(np.int64)
         return found, np.where(use_left, to_left, to_right)
 
+    def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
+        """Draw where the poses lead on axes of matplotlib, in metres: a ring at the first one, a disc at the last.
+
+        Seen from above; on axes in space (``projection="3d"``) in space.
+
+        Args:
+            ax: axes to draw on, of a map for example; new ones where none are given.
+            style: of the line, as :meth:`matplotlib.axes.Axes.plot` takes it: ``color``, ``linewidth``, ``label``, ...
+
+        Returns:
+            The axes.
+
+        Examples:
+            >>> from hexmap import Pose, Trajectory
+            >>> axes = Trajectory.from_poses([0.0, 1.0], [Pose.identity(2), Pose.planar(1.0, 0.0, 0.5)]).plot()
+            >>> axes.get_xlabel()
+            'x, m'
+        """
+        return drawing().plot_line(self.positions, ax, **style)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
+
     def __repr__(self) -> str:
         """Show how many poses there are and their time range."""
         if len(self) == 0:
@@ -185,6 +213,8 @@ class Relations:
     to_stamps: FloatArray
     translations: FloatArray
     rotations: FloatArray
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Make the arrays read-only float64 and check their shapes."""

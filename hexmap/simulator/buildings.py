@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 
 __all__ = ["BUILDINGS", "Building", "make_building"]
 
@@ -33,6 +34,8 @@ class Building:
     name: str
     walls: NDArray[np.float64]
     waypoints: NDArray[np.float64]
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Check the arrays and make them read-only copies.

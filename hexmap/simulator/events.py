@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 from hexmap.simulator.buildings import Building
@@ -79,6 +80,8 @@ class SimulatedEvent:
     event: Event
     T_map_robot: Pose
     ranges: NDArray[np.float64] | None = None
+
+    __repr__ = one_line
 
 
 def simulate(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from localisation.experiments.settings import THRESHOLDS, ExperimentSettings, Grid
 from localisation.experiments.world import World
 
@@ -34,6 +35,8 @@ class Results:
     world: World
     grids: list[Grid]
     rows: list[Row]
+
+    __repr__ = one_line
 
     def select(self, **where: Any) -> list[Row]:
         """Return the rows in which every given column has the given value."""

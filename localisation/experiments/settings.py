@@ -6,9 +6,8 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from hexmap.base.errors import ArgumentError
+from hexmap.lattice.convert import LatticeLike, as_lattice, plain_basis
 from hexmap.lattice.lattice import Lattice
 from hexmap.poses.pose import Pose
 
@@ -55,7 +54,8 @@ class ExperimentSettings:
     """All settings; plain numbers and texts, which the report prints.
 
     Attributes:
-        lattices: names, or bases (columns are generators, in any unit); the first is what the others are compared with.
+        lattices: lattices, names, or bases (columns are generators, in any unit), kept as names and nested tuples; the
+            others are compared with the first.
         resolutions: metres.
         split: "every" holds out every ``hold_out``-th scan, "half" the second half of the log.
         hold_out: see there; where whole stretches are held out, robots without a start see one scan in so many of them.
@@ -79,7 +79,7 @@ class ExperimentSettings:
         seed: of everything that is drawn.
     """
 
-    lattices: tuple[str | tuple[tuple[float, ...], ...], ...] = ("Z2", "A2")
+    lattices: tuple[LatticeLike, ...] = ("Z2", "A2")
     resolutions: tuple[float, ...] = (0.05, 0.1, 0.2)
     split: str = "every"
     hold_out: int = 4
@@ -107,6 +107,7 @@ class ExperimentSettings:
             ArgumentError: one is out of its range, or a lattice is not one of the plane.
             LatticeError: a lattice is not known.
         """
+        object.__setattr__(self, "lattices", tuple(plain_basis(lattice) for lattice in self.lattices))
         if len(self.lattices) < 2:
             raise ArgumentError("the experiment compares at least two lattices; give --lattices Z2,A2")
         if not self.resolutions or not all(0.0 < r < math.inf for r in self.resolutions):
@@ -187,10 +188,10 @@ def quick(settings: ExperimentSettings) -> ExperimentSettings:
     )  # fmt: skip
 
 
-def _unit(lattice: str | tuple[tuple[float, ...], ...]) -> Lattice:
-    made = Lattice.named(lattice) if isinstance(lattice, str) else Lattice(np.array(lattice), _OWN)
+def _unit(lattice: LatticeLike) -> Lattice:
+    made = as_lattice(lattice) if isinstance(lattice, str) else Lattice(as_lattice(lattice).basis, _OWN)
     return made.scaled(1.0 / made.resolution)
 
 
-def _name(lattice: str | tuple[tuple[float, ...], ...], number: int) -> str:
+def _name(lattice: LatticeLike, number: int) -> str:
     return _unit(lattice).name if isinstance(lattice, str) else f"{_OWN} {number}"

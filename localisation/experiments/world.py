@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError, LogError, TrajectoryError
+from hexmap.base.values import one_line
 from hexmap.io.logs.log import Log, LogSettings
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
@@ -61,6 +62,8 @@ class World:
     source: str
     reference: str
     given: bool
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         """Return the number of scans."""

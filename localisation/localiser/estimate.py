@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 
 __all__ = ["Estimate", "Hypothesis", "TrackState"]
@@ -64,3 +65,5 @@ class Estimate:
     overlap: float = 0.0
     contradicted: float = 0.0
     complete: bool = True
+
+    __repr__ = one_line

@@ -174,6 +174,10 @@ class LidarLocaliser:
             return self._find(scan)
         return self._follow(scan)
 
+    def __repr__(self) -> str:
+        """Say how often a pose was given up."""
+        return f"<LidarLocaliser, {self.times_lost} times lost>"
+
     def forget(self) -> None:
         """Forget where the sensor was: the next scan is looked for in the whole map."""
         self._odometry, self._bad = None, 0

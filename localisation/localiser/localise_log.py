@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hexmap.base.errors import BoundsError, LogError
+from hexmap.base.values import one_line
 from hexmap.io.logs.log import Log
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule, States
@@ -45,6 +46,8 @@ class Track:
     times_lost: int
     metres: float
     warnings: list[str]
+
+    __repr__ = one_line
 
 
 def localise_log(

@@ -183,6 +183,10 @@ class Localiser:
 
     # ------------------------------------------------------------------ motion
 
+    def __repr__(self) -> str:
+        """Say what it knows of the robot."""
+        return f"<Localiser, {self.state.value}, {self.times_lost} times lost>"
+
     def _motion(self, scan: Scan) -> Pose | None:
         """Return the sensor's motion since the last scan by odometry; None where there is none to believe."""
         reading = scan.odometry if scan.odometry is not None else self._reading

@@ -14,6 +14,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError, TrajectoryError
+from hexmap.base.values import one_line
 from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
@@ -69,6 +70,8 @@ class LidarMappingResult:
     levelled: float | None
     poses: Trajectory
     slam: LidarSlamResult | None
+
+    __repr__ = one_line
 
 
 def build_lidar_map(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
+from hexmap.base.values import one_line
 from hexmap.io.logs.log import Log
 from hexmap.poses.scan import Odometry
 from localisation.mapping.checkpoint import Checkpoints
@@ -81,6 +82,8 @@ class MappedRun:
     slam: Slam
     result: SlamResult
     unusable: UnusableScans
+
+    __repr__ = one_line
 
 
 def map_run(

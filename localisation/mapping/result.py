@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.errors import LogError
+from hexmap.base.values import one_line
 from hexmap.io.fingerprint import fingerprint
 from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.io.logs.log import Log
@@ -52,6 +53,8 @@ class MappingResult:
     metres: float
     warnings: list[str]
     slam: SlamResult | None = None
+
+    __repr__ = one_line
 
 
 class UnusableScans:

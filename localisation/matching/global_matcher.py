@@ -112,6 +112,10 @@ class GlobalMatcher:
         self.lattice = pyramid.lattice
         self.space = SearchSpace(pyramid, known)
 
+    def __repr__(self) -> str:
+        """Show what is searched."""
+        return f"<GlobalMatcher in {self.pyramid!r}>"
+
     @classmethod
     def of_map(
         cls, map: Map, rule: StateRule | None = None, level: int = 0, *, anywhere: bool = False

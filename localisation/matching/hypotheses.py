@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose, wrap_angle
 from localisation.matching.branch_and_bound import BranchAndBound
 from localisation.matching.global_matcher import GlobalMatcher, thin
@@ -53,6 +54,8 @@ class Hypotheses:
     candidates: list[Candidate]
     complete: bool
     total: int
+
+    __repr__ = one_line
 
 
 def is_same_place(a: Pose, b: Pose, apart: tuple[float, float]) -> bool:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import IntArray
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.keys import unpack
-from hexmap.lattice.lattice import Lattice
 from hexmap.maps.counter import CellCounter
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
@@ -44,11 +44,15 @@ class Occupancy:
         [False, True]
     """
 
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: LatticeLike) -> None:
         """Make one without an occupied cell."""
-        self.lattice = lattice
+        self.lattice = lattice = as_lattice(lattice)
         self._near = _Tiles(lattice.dim)
         self._wide: _Tiles | None = None
+
+    def __repr__(self) -> str:
+        """Show the lattice."""
+        return f"<Occupancy on {self.lattice!r}>"
 
     @classmethod
     def of_list(cls, cells: VoxelList) -> Occupancy:

@@ -179,6 +179,10 @@ class OccupancyPyramid:
         self._tables: dict[int, Tables] = {}
         self._sheets: dict[int, Sheet] = {}
 
+    def __repr__(self) -> str:
+        """Say how many cells it bounds."""
+        return f"<OccupancyPyramid of {len(self._source)} cells, {self.levels} levels on {self.lattice!r}>"
+
     def _grid(self, window: int, apart: int, shape: IntArray) -> _Grid:
         step = max(1, apart // 4)
         reach = window + step - 2 + apart

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.poses.pose import Pose
 from localisation.matching.occupancy import Occupancy, box_offsets
@@ -42,6 +43,8 @@ class Refinement:
     pose: Pose
     information: FloatArray
     converged: bool
+
+    __repr__ = one_line
 
 
 def refine_on(

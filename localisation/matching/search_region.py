@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from hexmap.base.arrays import FloatArray, IntArray, frozen
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 
 __all__ = ["SearchRegion", "SearchWindow", "shifts_in_ball"]
@@ -49,6 +50,8 @@ class SearchRegion:
     yaw: float = 0.0
     yaw_range: float = math.pi
     tilt: float = 0.0
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Check the limits."""

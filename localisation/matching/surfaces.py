@@ -20,6 +20,8 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -72,6 +74,8 @@ class Drawn:
     sigma: float
     converged: bool
 
+    __repr__ = one_line
+
 
 class SurfaceMap:
     """The surfaces of a map in space, one plane a cell, on any lattice.
@@ -91,7 +95,7 @@ class SurfaceMap:
         (True, True)
     """
 
-    def __init__(self, lattice: Lattice) -> None:
+    def __init__(self, lattice: LatticeLike) -> None:
         """Make one without points.
 
         Raises:
@@ -99,6 +103,7 @@ class SurfaceMap:
         """
         from localisation.matching import _surface_kernels as kernels
 
+        lattice = as_lattice(lattice)
         if lattice.dim != 3:
             raise ArgumentError(f"surfaces lie in space, and {lattice.name} is a lattice of the plane")
         self.lattice = lattice

@@ -17,6 +17,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import BoundsError, MissingDependencyError, TooLargeError
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
@@ -112,6 +113,8 @@ class RegisteredSweep:
     points: FloatArray
     drawn: Drawn | None
     missed: bool
+
+    __repr__ = one_line
 
     @property
     def held(self) -> bool:

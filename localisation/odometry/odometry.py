@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.matching.match import Match
@@ -36,6 +37,8 @@ class RegisteredScan:
     matched: bool = False
     match: Match | None = None
     predicted: Pose | None = None
+
+    __repr__ = one_line
 
 
 class Odometry(Protocol):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import angles
 from hexmap.poses.scan import Scan
@@ -60,6 +61,8 @@ class LidarSlamResult:
     records: list[LoopRecord]
     graph: PoseGraph
     node_scans: list[int]
+
+    __repr__ = one_line
 
     def pose(self, number: int) -> Pose:
         """Return T_map_sensor of a sweep."""

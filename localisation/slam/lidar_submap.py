@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.counter import HITS, PASSES, CellCounter
 from hexmap.maps.voxel_list import VoxelList
@@ -40,6 +41,8 @@ class Rays:
     origin: FloatArray
     ends: NDArray[np.float32]
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, eq=False)
 class LidarSubmap:
@@ -60,6 +63,8 @@ class LidarSubmap:
     points: NDArray[np.float32]
     rays: tuple[Rays, ...]
     reach: float
+
+    __repr__ = one_line
 
     @classmethod
     def of(

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from localisation.slam.pose_graph import Edge, PoseGraph
 from localisation.slam.settings import LoopSettings
 
@@ -77,6 +78,8 @@ class Candidate:
     i: int
     pose: FloatArray
     covariance: FloatArray
+
+    __repr__ = one_line
 
     @property
     def sigma(self) -> tuple[float, float]:

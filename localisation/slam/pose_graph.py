@@ -22,6 +22,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.atomic_files import atomic_path
 from hexmap.base.errors import MissingDependencyError
+from hexmap.base.values import one_line
 from localisation.slam.planar import PLANE, PlaneGeometry
 from localisation.slam.spatial import SpaceGeometry
 
@@ -66,6 +67,8 @@ class Edge:
     pose: FloatArray
     covariance: FloatArray
     loop: bool = False
+
+    __repr__ = one_line
 
 
 class PoseGraph:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Odometry, Scan
 from localisation.matching.global_matcher import thin
@@ -74,6 +75,8 @@ class SlamResult:
     records: list[LoopRecord]
     graph: PoseGraph
     node_scans: list[int]
+
+    __repr__ = one_line
 
 
 class Slam:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.counter import HITS, PASSES, CellCounter
 from hexmap.maps.state_rule import StateRule
@@ -58,6 +59,8 @@ class CompactScan:
     no_return: NDArray[np.float32]
     line: int | None = None
 
+    __repr__ = one_line
+
     def scan(self) -> Scan:
         """Return the scan again."""
         return Scan(self.stamp, self.points.astype(np.float64), self.no_return.astype(np.float64), line=self.line)
@@ -93,6 +96,8 @@ class Stretch:
     points: NDArray[np.float32]
     weights: NDArray[np.int32]
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, eq=False)
 class Submap:
@@ -117,6 +122,8 @@ class Submap:
     coarse: FloatArray
     view: NDArray[np.bool_]
     corner: IntArray
+
+    __repr__ = one_line
 
     @classmethod
     def of(cls, number: int, before: Stretch | None, after: Stretch) -> Submap:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.grids.open_grid import open_grid
 from hexmap.io.grids.scenarios import read_scenario
@@ -39,6 +40,8 @@ class ProblemSet:
     texts: tuple[str, ...]
     problem: NDArray[np.int64]
     style: tuple[str, int]
+
+    __repr__ = one_line
 
 
 def open_problem_set(path: Path, settings: BenchmarkSettings) -> ProblemSet:

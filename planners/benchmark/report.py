@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.experiments.report.report import Report
 from hexmap.experiments.statistics import Interval, bootstrap
 from hexmap.experiments.statistics import mean as mean_of
@@ -40,6 +41,8 @@ class Outcome:
 
     report: Report
     failures: list[str]
+
+    __repr__ = one_line
 
 
 def make_report(results: Results, command: str) -> Outcome:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from planners.benchmark.problem_set import publishers_roots
 from planners.benchmark.results import GridRun, Results
 from planners.benchmark.settings import Grid
@@ -38,6 +39,8 @@ class ResultGroup:
     by_angle: dict[float, FloatArray]
     megabytes: float
     bytes_a_cell: float
+
+    __repr__ = one_line
 
     @property
     def label(self) -> str:

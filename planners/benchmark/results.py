@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hexmap.base.values import one_line
 from planners.benchmark.problem_set import ProblemSet
 from planners.benchmark.settings import BenchmarkSettings
 
@@ -61,6 +62,8 @@ class GridRun:
     free: int
     memory: int
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
@@ -74,6 +77,8 @@ class Baseline:
     costs: list[float | None]
     steps: list[list[int] | None]
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
@@ -86,6 +91,8 @@ class Optimum:
 
     lengths: NDArray[np.float64]
     seconds: NDArray[np.float64]
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True)
@@ -130,3 +137,5 @@ class Results:
     runs: list[GridRun]
     left_out: list[str]
     free_space: list[FreeSpace]
+
+    __repr__ = one_line

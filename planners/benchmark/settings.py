@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from hexmap.base.errors import ArgumentError
+from hexmap.lattice.convert import LatticeLike, as_lattice, plain_basis
 from hexmap.lattice.lattice import Lattice
 
 
@@ -17,24 +17,33 @@ class Grid:
     """A lattice with a neighbourhood, and the planners to run on it.
 
     Attributes:
-        lattice: a name, or a basis (columns are generators, in any unit).
+        lattice: a lattice, the name of one, or a basis (columns are generators, in any unit); kept as a name or as
+            nested tuples.
         moves: size of the neighbourhood.
         any_angle: whether any-angle paths are sought on it too.
+        own: what to call a basis that has no name.
     """
 
-    lattice: str | tuple[tuple[float, ...], ...]
+    lattice: LatticeLike
     moves: int
     any_angle: bool = False
+    own: str = "own"
+
+    def __post_init__(self) -> None:
+        """Keep the lattice as plain values, which can be compared and written."""
+        object.__setattr__(self, "lattice", plain_basis(self.lattice))
 
     def make(self) -> Lattice:
         """Return the lattice, scaled to cells of size 1."""
-        made = Lattice.named(self.lattice) if isinstance(self.lattice, str) else Lattice(np.array(self.lattice), "own")
+        made = as_lattice(self.lattice)
+        if not isinstance(self.lattice, str):
+            made = Lattice(made.basis, self.own)
         return made.scaled(1.0 / made.resolution)
 
     @property
     def label(self) -> str:
         """Such as A2-6."""
-        return f"{self.lattice if isinstance(self.lattice, str) else 'own'}-{self.moves}"
+        return f"{self.lattice if isinstance(self.lattice, str) else self.own}-{self.moves}"
 
 
 GRIDS = {
@@ -96,9 +105,38 @@ class BenchmarkSettings:
         if self.max_cells < 1:
             raise ArgumentError(f"a window needs room for a cell, not for {self.max_cells}")
 
+    def with_own(self, lattices: Sequence[LatticeLike]) -> BenchmarkSettings:
+        """Return the settings with grids on further lattices: of each its usual neighbourhood, and the next larger one.
+
+        Any-angle paths are sought on the usual one. What has no name is called own, or own1, own2, ... of several.
+
+        Raises:
+            ArgumentError: the cells of one are so flat that no neighbourhood holds all neighbours across faces.
+            LatticeError: one is no lattice.
+        """
+        settings = self
+        for k, given in enumerate(lattices, 1):
+            lattice = as_lattice(given)
+            name = f"own{k}" if len(lattices) > 1 else "own"
+            sizes = _connecting_sizes(lattice)[:2]
+            if not sizes:
+                raise ArgumentError(f"no neighbourhood of {lattice!r} connects its cells; they are too flat")
+            grids = [Grid(given, size, i == 0, name) for i, size in enumerate(sizes)]
+            if lattice.dim == 2:
+                settings = replace(settings, planar=(*settings.planar, *grids))
+            else:
+                settings = replace(settings, spatial=(*settings.spatial, *grids))
+        return settings
+
     def grids(self, dim: int) -> tuple[Grid, ...]:
         """Return the grids of a dimension."""
         return self.planar if dim == 2 else self.spatial
+
+
+def _connecting_sizes(lattice: Lattice) -> list[int]:
+    """Return the sizes of the neighbourhoods that hold all usual neighbours, so that no graph falls apart."""
+    usual = {tuple(v) for v in lattice.neighbours.tolist()}
+    return [size for size in lattice.shell_sizes if usual <= {tuple(v) for v in lattice.shell(size).tolist()}]
 
 
 LEAST_QUERIES = 8  # an interval over fewer says nothing

@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
-from hexmap.base.values import integers
+from hexmap.base.pictures import picture_html
+from hexmap.base.values import integers, one_line
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.heuristics import least_terrain
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from hexmap.graph.lattice_graph import LatticeGraph
     from planners.search._shared_kernels import GraphArrays
 
@@ -56,6 +59,8 @@ class DistanceField:
     _distance: NDArray[np.float64] | None = None
     _partial: bool = False
 
+    __repr__ = one_line
+
     @cached_property
     def distance(self) -> NDArray[np.float64]:
         """Least cost (size,) of each flat cell, metres (times terrain); inf where none leads there."""
@@ -89,6 +94,39 @@ class DistanceField:
         out = np.empty(self.graph.size, np.uint8)
         kernels.parents(self._values, out, self._arrays())
         return out
+
+    def plot(self, ax: Axes | None = None, *, height: float | None = None, colorbar: bool = True) -> Axes:
+        """Draw the least costs on axes of matplotlib: the sources as rings, cells that are not free dark.
+
+        Cells that are free and out of reach are pale. In space what a horizontal plane cuts is drawn.
+
+        Args:
+            ax: axes to draw on; new ones where none are given.
+            height: of the cut through a field in space, metres; that of the first source where none is given.
+            colorbar: whether the colours are explained beside it.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ArgumentError: a height that is not finite, or of a field in the plane.
+
+        Examples:
+            >>> import numpy as np
+            >>> from hexmap import LatticeGraph
+            >>> from planners import dijkstra
+            >>> graph = LatticeGraph.from_array(np.zeros((4, 4, 4), bool), "D3")
+            >>> axes = dijkstra(graph, [0, 0, 0]).plot(height=1.0)
+        """
+        from hexmap.drawing.value_drawing import plot_values
+
+        sources = self.graph.lattice.centres(self.sources)
+        at = float(sources[0, 2]) if height is None and sources.shape[1] == 3 else height
+        return plot_values(self.graph, self.distance, ax, marks=sources, height=at, colorbar=colorbar)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     def distance_to(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the least cost (M,) to ``cells`` (M, n); inf for those out of reach, blocked or outside.

@@ -11,6 +11,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, compiling_note, first_run_note, say, wrote
+from hexmap.cli.lattice_options import Basis, own_lattice
 from hexmap.cli.plan.map_source import PlanningMap, foreign_map, found, inputs_of, own_map
 from hexmap.cli.plan.query import (
     Planner,
@@ -91,6 +92,7 @@ def plan(
         str | None,
         typer.Option(help=f"Lattice: {', '.join(_LATTICES)}.", show_default="A2 or D3; of hexmap's maps their own"),
     ] = None,
+    basis: Basis = None,
     resolution: Annotated[
         float | None,
         typer.Option(
@@ -128,6 +130,7 @@ def plan(
         from hexmap.drawing.map_drawing import check_picture
 
         check_picture(picture)
+    on = own_lattice(lattice, basis, resolution) or lattice
     own = is_parquet(map)
     _check_kind(
         map,
@@ -140,9 +143,9 @@ def plan(
     if own:
         loaded = cropped(load_map(map), crop, map)
         rule = rule_of(min_hits, min_ratio, loaded.sources())
-        planning_map = own_map(map, loaded, query, level or 0, rule, lattice, resolution)
+        planning_map = own_map(map, loaded, query, level or 0, rule, on, resolution)
     else:
-        planning_map = foreign_map(map, query, lattice, resolution, cell)
+        planning_map = foreign_map(map, query, on, resolution, cell)
     graph = _with_clearance(planning_map.graph, query)
     seconds = time.perf_counter() - begin
     compiling_note(*kernels_of(graph, query))

@@ -76,7 +76,7 @@ def own_map(
     query: Query,
     level: int,
     rule: StateRule,
-    lattice: str | None = None,
+    lattice: Lattice | str | None = None,
     resolution: float | None = None,
 ) -> PlanningMap:
     """Return a level of a map of hexmap read from ``path``, on its own lattice or by the centres of another's cells."""
@@ -84,7 +84,7 @@ def own_map(
 
     from hexmap.base.errors import ArgumentError
     from hexmap.graph.lattice_graph import LatticeGraph
-    from hexmap.lattice.lattice import Lattice
+    from hexmap.lattice.convert import as_lattice
     from hexmap.maps.cell_state import CellState
 
     _check_dimensions(path, query, loaded.lattice.dim)
@@ -104,7 +104,8 @@ def own_map(
             loaded, level=level, rule=rule, unknown=query.unknown.value, neighbourhood=query.neighbourhood
         )
         return PlanningMap(path, graph, state_at, low, high)
-    on = Lattice.named(lattice or own.name, resolution or own.resolution)
+    named = isinstance(lattice, str) and resolution is None
+    on = as_lattice(own if lattice is None else lattice, own.resolution if named else resolution)
     if on.dim != own.dim:
         raise ArgumentError(f"{path}: the map is of dimension {own.dim}, the lattice {on.name} of {on.dim}")
     _check_size(path, on, low, high)
@@ -117,13 +118,14 @@ def own_map(
 
 
 def foreign_map(
-    path: Path, query: Query, lattice: str | None, resolution: float | None, cell: float | None
+    path: Path, query: Query, lattice: Lattice | str | None, resolution: float | None, cell: float | None
 ) -> PlanningMap:
     """Return a map of others, rasterised onto a lattice."""
     import numpy as np
 
     from hexmap.base.errors import ArgumentError
     from hexmap.io.grids.open_grid import open_grid
+    from hexmap.lattice.convert import as_lattice
     from hexmap.lattice.lattice import Lattice, default_name
 
     try:
@@ -133,7 +135,9 @@ def foreign_map(
     _check_dimensions(path, query, grid.dim)
     # Half a cell in space is eight times the memory, and the walls of an OctoMap are thick.
     usual = 0.5 * grid.cell if grid.dim == 2 else grid.cell
-    on = Lattice.named(lattice or default_name(grid.dim), resolution or usual)
+    if not isinstance(lattice, Lattice):
+        lattice = Lattice.named(lattice or default_name(grid.dim), resolution or usual)
+    on = as_lattice(lattice, resolution)
     if on.dim != grid.dim:
         raise ArgumentError(f"{path}: the map is of dimension {grid.dim}, the lattice {on.name} of {on.dim}")
     low, high = np.asarray(grid.low), np.asarray(grid.high)

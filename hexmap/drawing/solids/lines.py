@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.drawing.figure_layout import PATH_COLOUR
 from hexmap.drawing.solids.renderer import Camera
 
@@ -51,6 +52,8 @@ class SeenLine:
 
     pixels: FloatArray
     visible: NDArray[np.bool_]
+
+    __repr__ = one_line
 
     @classmethod
     def of(cls, positions: FloatArray, camera: Camera, nearness: NDArray[np.float32], step: float) -> SeenLine:

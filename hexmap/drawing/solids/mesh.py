@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.drawing.figure_layout import HEIGHTS
 from hexmap.lattice.keys import key_delta
 from hexmap.lattice.lattice import Cell, Lattice
@@ -55,6 +56,8 @@ class Mesh:
     cells: NDArray[np.int32]
     faces: NDArray[np.int32]
     colours: NDArray[np.uint8]
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""

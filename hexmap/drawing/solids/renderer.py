@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.drawing.solids.mesh import height_range, linear_light, outward_rings
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
@@ -133,6 +134,8 @@ class Directions:
     rotation: FloatArray
     level: FloatArray
 
+    __repr__ = one_line
+
 
 def directions(azimuth: float, elevation: float) -> Directions:
     """Return the axes of a view from ``azimuth`` (counter-clockwise from x) and ``elevation``, degrees."""
@@ -151,6 +154,8 @@ class Camera:
     eye: FloatArray
     focal: float
     middle: tuple[float, float]
+
+    __repr__ = one_line
 
     @classmethod
     def fitted(
@@ -211,6 +216,8 @@ class Rendering:
 
     image: NDArray[np.uint8]
     nearness: NDArray[np.float32]
+
+    __repr__ = one_line
 
 
 def render(

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal, get_args
 import numpy as np
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.base.version import __version__
 
 Outcome = Literal["holds", "holds in part", "does not hold"]
@@ -79,6 +80,8 @@ class Table:
     caption: str | None
     shown: int
 
+    __repr__ = one_line
+
     @property
     def note(self) -> str:
         """Return the caption, and what the table leaves out."""
@@ -97,6 +100,8 @@ class Figure:
     caption: str
     files: dict[str, bytes]  # png, pdf, svg -> content
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True)
 class Verdicts:
@@ -106,6 +111,8 @@ class Verdicts:
     name: str
     number: int  # of tables and verdicts together
     rows: list[Verdict]
+
+    __repr__ = one_line
 
     @property
     def summary(self) -> str:

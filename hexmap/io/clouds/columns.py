@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
 from hexmap.base.text import shown
+from hexmap.base.values import one_line
 
 Columns: TypeAlias = Sequence[str | int]
 
@@ -23,6 +24,8 @@ class Raw:
 
     values: FloatArray
     warnings: list[str] = field(default_factory=list)
+
+    __repr__ = one_line
 
 
 def choose_columns(path: Path, names: Sequence[str], columns: Columns | None, what: str) -> list[int]:

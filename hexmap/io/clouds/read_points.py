@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError, FormatError
 from hexmap.base.text import plural, shown
+from hexmap.base.values import one_line
 from hexmap.io import file_kinds
 from hexmap.io.clouds.columns import Columns, Raw
 from hexmap.io.clouds.ptx import begins_ptx, read_ptx
@@ -61,6 +62,8 @@ class PointFile:
     format: str
     warnings: tuple[str, ...] = ()
     offset: tuple[float, ...] = ()
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         """Return the number of points."""

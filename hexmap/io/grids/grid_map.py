@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError
-from hexmap.base.values import kept, remade
+from hexmap.base.values import kept, one_line, remade
 from hexmap.io.read_file import inflation_limit
+from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.state_rule import States
@@ -67,6 +68,8 @@ class GridMap:
     path: str = ""
     kind: str = ""
     y_down: bool = False
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Check the values and make the arrays read-only.
@@ -240,7 +243,7 @@ class GridMap:
 
     def to_graph(
         self,
-        lattice: Lattice,
+        lattice: LatticeLike,
         *,
         unknown: Literal["blocked", "free"] = "blocked",
         neighbourhood: Neighbourhood = None,
@@ -255,7 +258,8 @@ class GridMap:
         as they are; unknown cells and what lies outside are no obstacles.
 
         Args:
-            lattice: the lattice to rasterise onto, of the grid's dimension.
+            lattice: the lattice to rasterise onto, of the grid's dimension, or its basis; the name of one is taken
+                at half the size of :attr:`cell` in the plane and at that size in space, as ``hexmap plan`` takes it.
             unknown: what unknown cells count as.
             neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
             max_cells: how large a window may be, padding included.
@@ -268,6 +272,9 @@ class GridMap:
         from hexmap.graph import lattice_graph as graphs
 
         _check_unknown(unknown)
+        if isinstance(lattice, str):
+            lattice = as_lattice(lattice, 0.5 * self.cell if self.dim == 2 else self.cell)
+        lattice = as_lattice(lattice)
         self._check_dimension(lattice)
         # A centre on the grid's border belongs to the grid or not, as the look-up decides it.
         grain = self.cell / _FINE
@@ -287,7 +294,7 @@ class GridMap:
             boxes=self._occupied_boxes,
         )
 
-    def to_states(self, lattice: Lattice | str | None = None) -> States:
+    def to_states(self, lattice: LatticeLike | None = None) -> States:
         """Return the occupied and free cells of the map on a lattice, for matching scans against it.
 
         A cell of the lattice is occupied where it meets the inside of an occupied cell of the grid: where one of the
@@ -298,7 +305,7 @@ class GridMap:
         lattice whose cells are those of the grid gives back the grid's states.
 
         Args:
-            lattice: a lattice of the grid's dimension, or the name of one, whose resolution is then :attr:`cell`;
+            lattice: a lattice of the grid's dimension, a basis, or a name, whose resolution is then :attr:`cell`;
                 None: the square or cubic one.
 
         Returns:
@@ -309,7 +316,8 @@ class GridMap:
             BoundsError: a cell leaves the range of the lattice's indices.
             LatticeError: there is no lattice of that name.
         """
-        on = lattice if isinstance(lattice, Lattice) else Lattice.named(lattice or f"Z{self.dim}", self.cell)
+        wanted = f"Z{self.dim}" if lattice is None else lattice
+        on = as_lattice(wanted, self.cell if isinstance(wanted, str) else None)
         self._check_dimension(on)
         width = 2.0 * on.inradius
         parts = math.ceil(self.cell / (0.5 * min(self.cell, width)) - 1e-9)

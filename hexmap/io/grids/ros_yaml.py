@@ -15,6 +15,7 @@ from typing import Any
 
 from hexmap.base.errors import FormatError
 from hexmap.base.text import quoted, reason
+from hexmap.base.values import one_line
 
 __all__ = ["Entry", "read_entries"]
 
@@ -38,6 +39,8 @@ class Entry:
     key: str
     line: int
     value: str | list[str] | None
+
+    __repr__ = one_line
 
     @property
     def text(self) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.errors import FormatError
 from hexmap.base.text import quoted, whole_number
+from hexmap.base.values import one_line
 from hexmap.io.grids.grid_map import MAX_BYTES, GridMap
 from hexmap.io.read_file import read_file
 from hexmap.maps.cell_state import CellState
@@ -51,6 +52,8 @@ class Scenario:
     size: tuple[int, int] | None
     map_name: str
     path: str = ""
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         """Return the number of queries."""

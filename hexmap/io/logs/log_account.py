@@ -48,6 +48,10 @@ class LogAccount:
         self._skipped = Tally()
         self._late_notes: list[str] = []
 
+    def __repr__(self) -> str:
+        """Say which file it is and how far it has been read."""
+        return f"<{type(self).__name__} {self.path.name}, {self.scans} scans read>"
+
     @property
     def skipped(self) -> int:
         """Lines, messages or files that could not be used so far."""

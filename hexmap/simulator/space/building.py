@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray, frozen
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 
 __all__ = ["Building3D", "Scene", "SolidList", "cast_in_space"]
 
@@ -68,6 +69,8 @@ class Building3D:
     cylinders: FloatArray
     reflectivity: FloatArray
     waypoints: FloatArray
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         """Check the arrays and make them read-only copies.
@@ -188,6 +191,8 @@ class SolidList:
 
     _boxes: list[tuple[FloatArray, FloatArray, FloatArray, float]] = field(default_factory=list)
     _cylinders: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
+
+    __repr__ = one_line
 
     def box(self, low: ArrayLike, high: ArrayLike, reflectivity: float = 0.4) -> None:
         """Add a box along the axes from its lowest to its highest corner (3,), metres."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from hexmap.simulator.space.building import Building3D, Scene, SolidList
@@ -84,6 +85,8 @@ class SimulatedScan:
     rings: NDArray[np.uint16]
     columns: NDArray[np.int64]
     solids: NDArray[np.int64]
+
+    __repr__ = one_line
 
 
 def scan_stamps(

@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.lattice.window import IndexBox
 from hexmap.maps.state_rule import States
 from hexmap.poses.pose import Pose, wrap_angle
@@ -92,6 +93,8 @@ class FilterEstimate:
     covariance: FloatArray
     weight: float
     particles: int
+
+    __repr__ = one_line
 
 
 class LikelihoodField:

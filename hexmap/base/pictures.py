@@ -1,0 +1,46 @@
+"""How values show themselves, which know nothing of drawing: the root of the package says where that is found.
+
+Maps, lists of cells and trajectories lie in layers below the one that draws. Their ``plot`` and ``_repr_html_`` ask
+:func:`drawing` for it, and nothing is loaded before the first picture is wanted.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from typing import Any
+
+from hexmap.base.errors import MissingDependencyError
+
+__all__ = ["draw_with", "drawing", "picture_html"]
+
+_sources: list[Callable[[], Any]] = []
+
+
+def draw_with(source: Callable[[], Any]) -> None:
+    """Name what returns the module that draws values (``hexmap.drawing.value_drawing``), asked when it is needed."""
+    _sources[:] = [source]
+
+
+def drawing() -> Any:
+    """Return the module that draws values.
+
+    Raises:
+        MissingDependencyError: nobody has named one.
+    """
+    if not _sources:
+        raise MissingDependencyError("nothing draws values: import hexmap first")
+    return _sources[0]()
+
+
+def picture_html(value: Any) -> str:
+    """Return a small picture of a value and the line of its ``repr``, as HTML; the line alone where none can be drawn.
+
+    Never more than some hundred kilobytes, and never an error: a notebook calls this for whatever a cell ends with.
+    """
+    line = f"<pre>{html.escape(repr(value))}</pre>"
+    try:
+        picture: str = drawing().inline_picture(value)
+    except Exception:  # whatever it is, the value itself is sound, and its line says what it is
+        return line
+    return f"<div>{picture}{line}</div>"
