@@ -49,7 +49,7 @@ class PathTable:
 
 
 def path_headings(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where a robot looks that follows a polyline (M, n): (M, 1) heading in the plane, (M, 2) with pitch in space.
+    """Return where a robot looks along a polyline (M, n): (M, 1) its heading in the plane, (M, 2) with pitch in space.
 
     Radians. The heading is counter-clockwise from x, in (-pi, pi]; the pitch is the climb above the horizon, in
     [-pi/2, pi/2]. Both are those of the leg that leaves the point, at the last point those of the leg that arrives. A

@@ -55,7 +55,7 @@ def plan(
     goal: Annotated[Any, typer.Option("--to", help="Where to go, m.", **_POSITION)],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Where to write the path, with headings in radians (.csv, .json, .geojson)."),
+        typer.Option("--output", "-o", help="Where to write the path, headings in radians (.csv, .json, .geojson)."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw it (.png, .svg, .pdf).")] = None,
     whole: Annotated[bool, typer.Option("--whole", help="Draw the whole map, not just around the path.")] = False,

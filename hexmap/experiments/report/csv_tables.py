@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from hexmap.base.text import spreadsheet_text
 from hexmap.experiments.report.elements import Table, Verdicts, clean
 from hexmap.experiments.report.numbers import is_number, scalar
 from hexmap.experiments.statistics import Interval
@@ -30,13 +31,7 @@ def _csv_cell(cell: Any) -> str:
 
 
 def _text(value: Any) -> str:
-    """Return text of a cell: what a spreadsheet would run as a formula, such as a file's name may be, gets a quote.
-
-    After a sign only a call or a link does anything: "- no list" stays as it is.
-    """
-    text = clean(value)
-    runs = text.startswith(("=", "@", "\t", "\r")) or (text.startswith(("+", "-")) and any(c in text for c in "(|!"))
-    return "'" + text if runs else text
+    return spreadsheet_text(clean(value))
 
 
 def csv_table(table: Table) -> bytes:
