@@ -9,7 +9,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import first_run_note, progress_line, say
+from hexmap.cli.console import first_run_note, progress_line, say, wrote
 from hexmap.cli.experiments import check_folder, command_line, write_report
 from hexmap.cli.plan.map_source import found
 
@@ -50,6 +50,7 @@ def planning(
     from hexmap.base.errors import ArgumentError, FormatError, HexmapError
     from hexmap.io.file_kinds import is_parquet
     from planners.benchmark.benchmark import planning_benchmark
+    from planners.benchmark.report_queries import QUERIES
     from planners.benchmark.settings import BenchmarkSettings
 
     check_folder(output)
@@ -97,6 +98,8 @@ def planning(
             workers=workers, progress=progress,
         )  # fmt: skip
     write_report(outcome.report, output)
+    wrote(output / f"{QUERIES}.csv", "the answer of every planner to every query")
+    wrote(output / "report.html", "to begin with")
     if outcome.failures:
         raise HexmapError("; ".join(outcome.failures))
 

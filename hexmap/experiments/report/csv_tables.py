@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hexmap.base.text import spreadsheet_text
-from hexmap.experiments.report.elements import Table, Verdicts, clean
+from hexmap.experiments.report.elements import STANDINGS, Matrix, Table, Verdicts, clean
 from hexmap.experiments.report.numbers import is_number, scalar
 from hexmap.experiments.statistics import Interval
 
@@ -59,3 +59,12 @@ def csv_verdicts(verdicts: Verdicts) -> bytes:
     """Return verdicts as a file."""
     rows = [(row.section, row.claim, row.outcome, row.evidence, row.rule) for row in verdicts.rows]
     return _csv(("section", "claim", "outcome", "evidence", "rule"), rows)
+
+
+def csv_matrix(matrix: Matrix) -> bytes:
+    """Return a matrix as a file of words: win, even, lose."""
+    rows = [
+        [row, *("" if cell is None else STANDINGS[cell.standing] for cell in line)]
+        for row, line in zip(matrix.rows, matrix.cells, strict=True)
+    ]
+    return _csv([matrix.corner, *matrix.columns], rows)
