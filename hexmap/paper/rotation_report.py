@@ -340,13 +340,14 @@ def add_outcomes(report: Report, results: RotationResults) -> None:
         ("cells vary", "count", "axis", cv), ("cells vary", "count", "random", cv),
         ("distortion varies", "distortion", "axis", cv), ("distortion varies", "distortion", "random", cv),
         ("match score varies", "at_pose", "random", cv),
-        ("cells", "count", "random", mean_of), ("distortion", "distortion", "random", mean_of),
+        ("cells", "count", "axis", mean_of), ("cells", "count", "random", mean_of),
+        ("distortion", "distortion", "axis", mean_of), ("distortion", "distortion", "random", mean_of),
     )  # fmt: skip
     cells: dict[str, dict[str, Compared | None]] = {}
     for k in range(1, len(results.lattices)):
         line = cells.setdefault(f"{results.lattices[k].name} against {results.base.name}", {})
         for word, key, kind, statistic in measures:
-            column = word if statistic is mean_of else f"{word}, {'turns' if kind == 'axis' else 'at random'}"
+            column = f"{word}, {'turns' if kind == 'axis' else 'at random'}"
             line[column] = _compared(results.samples[key, kind], k, statistic)
     if not cells:
         return
@@ -354,8 +355,8 @@ def add_outcomes(report: Report, results: RotationResults) -> None:
     report.matrix(
         "outcomes", cells, "lattice",
         f"How many times {results.base.name}'s value a lattice's is, under the same transforms, on cells of "
-        f"{results.cell}: sigma / mu where something varies, else the mean under random rotations and shifts. Less is "
-        "better; won and lost where the 95 % interval does not hold 1.",
+        f"{results.cell}: sigma / mu where something varies, else the mean; under the turns, and under random "
+        "rotations and shifts. Less is better; won and lost where the 95 % interval does not hold 1.",
     )  # fmt: skip
 
 
