@@ -135,31 +135,29 @@ def report_comparison(report: Report, comparisons: Sequence[Comparison]) -> None
 
 
 def _add(report: Report, comparisons: Sequence[Comparison], matrix: str, table: str, caption: str) -> None:
-    cells: dict[str, dict[str, Compared | None]] = {}
-    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
-    dims = {c.dim for c in comparisons}
     # Measure by measure, each at all sizes.
     words = list(dict.fromkeys(c.measure for c in comparisons))
-    for c in sorted(comparisons, key=lambda c: (words.index(c.measure), c.fraction)):
-        column = f"{c.measure}, {share_word(c.fraction)}"
-        for pair in dict.fromkeys((d.dim, d.grid, d.against) for d in comparisons):
-            cells.setdefault(_pair(*pair, len(dims)), {}).setdefault(column, None)
-        cells[_pair(c.dim, c.grid, c.against, len(dims))][column] = Compared(c.standing, _short(c.ratio.value))
+    by_column = sorted(comparisons, key=lambda c: (words.index(c.measure), c.fraction))
+    for dim in dict.fromkeys(c.dim for c in comparisons):
+        columns = [f"{c.measure}, {share_word(c.fraction)}" for c in by_column if c.dim == dim]
+        cells: dict[str, dict[str, Compared | None]] = {}
+        for c in comparisons:
+            if c.dim == dim:
+                line = cells.setdefault(f"{c.grid} against {c.against}", dict.fromkeys(columns))
+                line[f"{c.measure}, {share_word(c.fraction)}"] = Compared(c.standing, _short(c.ratio.value))
+        place = "In the plane" if dim == 2 else "In space"
+        report.matrix(f"{matrix}_{dim}d", cells, "first against second", f"{place}. {caption}")
+    rows: dict[tuple[Any, ...], dict[str, Any]] = {}
     for c in comparisons:
         about = {"dimension": c.dim, "cell": 1.0 / c.fraction, "grid": c.grid, "against": c.against}
         rows.setdefault(tuple(about.values()), about)[c.measure] = c.ratio
-    report.matrix(matrix, cells, "first against second", caption)
+    columns = ["dimension", "cell", "grid", "against", *words]
     report.table(
         table, list(rows.values()),
-        {name: {"cell": "cell, source cells' edges"}.get(name, name)
-         for name in ("dimension", "cell", "grid", "against", *words)},
+        {name: "cell, source cells' edges" if name == "cell" else name for name in columns},
         formats=dict.fromkeys(words, ".3f") | {"cell": "g"},
         caption="The same with intervals: how many times the second's value the first's is.",
     )  # fmt: skip
-
-
-def _pair(dim: int, grid: str, against: str, dims: int) -> str:
-    return f"{grid} against {against}" + (f" ({dim}D)" if dims > 1 else "")
 
 
 def _short(ratio: float) -> str:

@@ -207,7 +207,7 @@ def test_the_report_begins_with_the_baseline_check(tmp_path: Path) -> None:
     assert [row["claim"] for row in verdicts[1:]] == [
         "A2-6 plans shorter paths than Z2-4", "A2-6 plans shorter paths than Z2-8",
     ]  # fmt: skip
-    with (tmp_path / "report" / "outcomes.csv").open() as file:
+    with (tmp_path / "report" / "outcomes_2d.csv").open() as file:
         matrix = list(csv.DictReader(file))
     assert matrix[0]["first against second"] == "A2-6 against Z2-4" and matrix[0]["length, edge 1/2"] == "win"
     assert {v for row in matrix for k, v in row.items() if k != "first against second"} <= {"win", "even", "lose"}
