@@ -9,8 +9,8 @@ from typing import Annotated, TypeVar
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import first_run_note, progress_line, say, wrote
-from hexmap.cli.experiments import check_folder, command_line, write_report
+from hexmap.cli.console import first_run_note, progress_line, wrote
+from hexmap.cli.experiments import check_folder, command_line, say_if_resumed, write_report
 from hexmap.cli.plan.map_source import found
 
 Number = TypeVar("Number", int, float)
@@ -80,11 +80,7 @@ def planning(
         fractions=_numbers(fractions, "--fractions", int),
         max_cells=max_cells, seed=seed, planners=chosen,
     )  # fmt: skip
-    if any(output.glob("cases-*.jsonl")):
-        say(
-            f"{output}: finished cases of an earlier run are kept, with their times; "
-            "remove the files cases-*.jsonl to compute all of them again"
-        )
+    say_if_resumed(output)
     first_run_note()
     fraction = [0.0]
     with progress_line("planning", lambda: fraction[0], "cases") as update:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from hexmap.cli.console import progress_line
+from hexmap.cli.experiments import say_if_resumed
 from hexmap.cli.progress import Estimate
 from hexmap.io.logs.open_log import open_log
 from hexmap.simulator.buildings import make_building
@@ -92,6 +93,14 @@ def test_on_a_terminal_the_line_moves_and_goes(tmp_path: Path) -> None:
     assert re.search(r"\d+ scans, \d+ a second, 0:0\d left", frames)
     # The line is taken away: what stays is the result.
     assert frames.rstrip().endswith("end")
+
+
+def test_an_experiment_that_goes_on_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    say_if_resumed(tmp_path)
+    assert capsys.readouterr().out == ""
+    (tmp_path / "cases-0.jsonl").touch()
+    say_if_resumed(tmp_path)
+    assert "finished cases of an earlier run are kept" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("ending", ["", ".gz"])

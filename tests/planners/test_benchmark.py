@@ -318,6 +318,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert (tmp_path / "r" / "report.html").is_file()
     assert str(tmp_path / "r" / "summary.csv") in run.output
+    assert "earlier run" not in run.output
     assert f"{tmp_path / 'r' / 'queries.csv'}  (the answer of every planner to every query)" in run.output
 
 
