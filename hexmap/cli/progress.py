@@ -96,7 +96,7 @@ def progress_on_terminal(what: str, fraction: Callable[[], float], noun: str) ->
 
 def _words(count: int, noun: str, done: float, rate: float, left: float) -> str:
     """Return what stands behind the bar."""
-    words = f"{100.0 * done:3.0f} %  {count:,} {noun}"
+    words = f"{100.0 * done:3.0f} %  {count:,} {noun.removesuffix('s') if count == 1 else noun}"
     if math.isfinite(rate) and rate > 0.0:
         words += f", {rate:.0f} a second" if rate >= 10.0 else f", {rate:.1f} a second"
     if math.isfinite(left):

@@ -139,7 +139,7 @@ def _judge(
         try:
             relative = relative_error(truth, poses, step, "metres", associate, tolerance)
         except TrajectoryError as error:  # what was asked for and is known will be said
-            warn(f"{path}: no relative error: {error}")
+            warn(f"no relative error: {path}: {error}")
     return _Judged(name, score, errors, relative)
 
 
