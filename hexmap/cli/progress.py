@@ -68,10 +68,11 @@ def progress_on_terminal(what: str, fraction: Callable[[], float], noun: str) ->
         # Without a total the bar pulses: how much there is to do is known from the first scan on.
         task = bar.add_task(what, total=None, words="")
         estimate = Estimate()
-        words, last = "", -math.inf
+        words, left, last = "", "", -math.inf
 
         def show(compiling: bool) -> None:
-            note = "compiling, once" if compiling else ""
+            # How long the compiler takes nobody can tell.
+            note = "compiling, once" if compiling else left
             bar.update(task, words=", ".join(text for text in (words, note) if text))
 
         def on_compiled(begun: bool, seconds: float) -> None:
@@ -79,13 +80,14 @@ def progress_on_terminal(what: str, fraction: Callable[[], float], noun: str) ->
             show(begun)
 
         def update(count: int) -> None:
-            nonlocal words, last
+            nonlocal words, left, last
             now = time.monotonic()
             if now - last < _STEP:
                 return
             last = now
             done = min(max(fraction(), 0.0), 1.0)
-            words = _words(count, noun, done, *estimate.of(count, done))
+            rate, seconds = estimate.of(count, done)
+            words, left = _words(count, noun, done, rate), _left(seconds)
             bar.update(task, total=1.0, completed=done)
             show(False)
 
@@ -94,15 +96,20 @@ def progress_on_terminal(what: str, fraction: Callable[[], float], noun: str) ->
             yield update
 
 
-def _words(count: int, noun: str, done: float, rate: float, left: float) -> str:
-    """Return what stands behind the bar."""
+def _words(count: int, noun: str, done: float, rate: float) -> str:
+    """Return how far the work is."""
     words = f"{100.0 * done:3.0f} %  {count:,} {noun.removesuffix('s') if count == 1 else noun}"
     if math.isfinite(rate) and rate > 0.0:
         words += f", {rate:.0f} a second" if rate >= 10.0 else f", {rate:.1f} a second"
-    if math.isfinite(left):
-        minutes, seconds = divmod(math.ceil(left), 60)
-        words += f", {minutes}:{seconds:02d} left"
     return words
+
+
+def _left(seconds: float) -> str:
+    """Return how long the work will take; nothing where there is no telling."""
+    if not math.isfinite(seconds):
+        return ""
+    minutes, rest = divmod(math.ceil(seconds), 60)
+    return f"{minutes}:{rest:02d} left"
 
 
 @contextmanager
