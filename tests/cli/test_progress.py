@@ -58,9 +58,9 @@ with progress_line("mapping", lambda: done) as update:
     time.sleep(0.25)  # nothing is done yet, and it moves all the same
     from numba import njit
     njit(lambda x: x + 1)(1)
-    for k in range(30):
+    for k in range(22):
         time.sleep(0.06)
-        done = (k + 1) / 30
+        done = (k + 1) / 22
         update(k + 1)
 with progress_line("closing loops", lambda: 0.0):
     time.sleep(0.15)
