@@ -516,6 +516,22 @@ def test_a_path_file_keeps_every_digit(case: Case, tmp_path: Path) -> None:
     assert table.heading[-1] == table.heading[-2]  # it arrives as it came
 
 
+def test_the_command_writes_what_the_ending_says(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for ending in ("csv", "json", "geojson"):
+        assert call("plan", folder / "rooms.parquet", *PAST, "-o", tmp_path / f"p.{ending}") == 0
+    said = capsys.readouterr().out
+    whole = json.loads((tmp_path / "p.json").read_text())
+    assert [p["x"] for p in whole["points"]] == read_path(tmp_path / "p.csv").points[:, 0].tolist()
+    assert f"least clearance {whole['clearance']:.2f} m" in said and f"length {whole['length']:.3f} m" in said
+    feature = json.loads((tmp_path / "p.geojson").read_text())
+    assert feature["geometry"]["coordinates"][0] == [-1.5, -0.5] and feature["properties"]["clearance"] > 0.0
+    assert "written as .csv, .json, .geojson" in wrong_usage(
+        capsys, "plan", folder / "rooms.parquet", *PAST, "-o", tmp_path / "p.kml"
+    )
+
+
 def test_headings_of_legs_that_have_none() -> None:
     up = np.array([[0.0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 1], [1, 1, 0]])
     heading, pitch = path_headings(up).T

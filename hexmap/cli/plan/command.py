@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -166,9 +167,11 @@ def plan(
     )
     _report(path, planning_map, query)
     if output is not None:
+        from hexmap.graph.queries import least_clearance
         from planners.path_files import write_path
 
-        write_path(output, path)
+        room = least_clearance(planning_map.graph, path.cells, path.points)
+        write_path(output, replace(path, clearance=room))
         wrote(output, f"{counted(len(path), 'point')}, metres")
     if picture is not None:
         _draw(path, graph, planning_map, query, picture, whole)
