@@ -1,4 +1,4 @@
-from .evaluation import absolute_error, evaluate_relations, relative_error
+from .evaluation import PoseErrors, absolute_error, evaluate_relations, pose_errors, relative_error
 from .lidar_settings import LidarSettings
 from .localiser.estimate import Estimate
 from .localiser.lidar_localiser import LidarLocaliser
@@ -25,6 +25,7 @@ __all__ = [
     "LoopSettings",
     "MappingSettings",
     "Match",
+    "PoseErrors",
     "SearchRegion",
     "absolute_error",
     "add_run",
@@ -35,5 +36,6 @@ __all__ = [
     "fuse_lidar_log",
     "fuse_log",
     "match_anywhere",
+    "pose_errors",
     "relative_error",
 ]

@@ -22,14 +22,18 @@ from hexmap.poses.trajectory import Relations, Trajectory
 __all__ = [
     "AbsoluteError",
     "ErrorStatistics",
+    "PoseErrors",
     "RelationScore",
     "RelativeError",
     "absolute_error",
     "evaluate_relations",
+    "pose_errors",
     "relative_error",
 ]
 
 Associate = Literal["time", "order"]
+# What makes lists of poses that go together by order.
+_SCANS = "hexmap build --trajectory-of scans writes one pose a scan, without those of the odometry"
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,41 @@ class AbsoluteError:
     used: int
     skipped: int
     T_reference_estimate: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """What :func:`pose_errors` found of each of M poses of the estimate, in the order of time.
+
+    Attributes:
+        reference: (M,) int64, number of the pose of the reference that goes with each.
+        estimate: (M,) int64, number of each pose of the estimate.
+        stamps: (M,) float64 seconds, of the estimate.
+        positions: (M, 3) float64 metres, of the estimate in the frame of the reference.
+        translation: (M,) float64 metres to the reference.
+        rotation_deg: (M,) float64 degrees to the reference.
+        skipped: poses of the sparser trajectory without a partner.
+        T_reference_estimate: the alignment; of the plane where both trajectories are planar.
+    """
+
+    reference: IntArray
+    estimate: IntArray
+    stamps: FloatArray
+    positions: FloatArray
+    translation: FloatArray
+    rotation_deg: FloatArray
+    skipped: int
+    T_reference_estimate: Pose
+
+    def summary(self) -> AbsoluteError:
+        """Return the statistics of all poses."""
+        return AbsoluteError(
+            ErrorStatistics.of(self.translation),
+            ErrorStatistics.of(self.rotation_deg),
+            used=len(self.estimate),
+            skipped=self.skipped,
+            T_reference_estimate=self.T_reference_estimate,
+        )
 
 
 @dataclass(frozen=True)
@@ -194,7 +233,7 @@ def _associate(
         if len(reference) != len(estimate):
             raise TrajectoryError(
                 f"association by order takes as many poses in both: the reference has {len(reference)}, "
-                f"the estimate {len(estimate)}"
+                f"the estimate {len(estimate)}; {_SCANS}"
             )
         both = np.arange(len(reference))
         return both, both, 0
@@ -208,7 +247,7 @@ def _associate(
         name = "estimate" if swap else "reference"
         raise TrajectoryError(
             f"the {len(sparse)} poses of the {name} have only {different} different stamps, "
-            "so they cannot be told apart by time; use --associate order"
+            f"so they cannot be told apart by time; use --associate order; {_SCANS}"
         )
     by_time = [np.argsort(each.stamps, kind="stable") for each in (reference, estimate)]
     if np.array_equal(reference.stamps[by_time[0]], estimate.stamps[by_time[1]]):
@@ -220,7 +259,7 @@ def _associate(
         raise TrajectoryError(
             f"no poses within {tolerance:g} s of each other: reference {len(reference)} stamps, "
             f"{_range(reference.stamps)}; estimate {len(estimate)} stamps, {_range(estimate.stamps)}; "
-            "try --associate order if both list the same poses"
+            f"try --associate order if both list the same poses; {_SCANS}"
         )
     # By time, and not in the order of the lines: the motion over a step is that between poses that follow one another.
     order = by_time[1 if swap else 0]
@@ -266,6 +305,13 @@ def absolute_error(
             two pairs.
         ArgumentError: an unknown way to associate, or a negative tolerance.
     """
+    return pose_errors(reference, estimate, associate, tolerance).summary()
+
+
+def pose_errors(
+    reference: Trajectory, estimate: Trajectory, associate: Associate = "time", tolerance: float = 0.1
+) -> PoseErrors:
+    """Measure the error of every pose after rigid alignment: arguments and errors as of :func:`absolute_error`."""
     i, j, skipped = _associate(reference, estimate, associate, tolerance)
     if len(i) < 2:
         raise TrajectoryError("an alignment takes at least two pairs of poses, and only one associates")
@@ -274,15 +320,12 @@ def absolute_error(
     R, t = np.eye(3), np.zeros(3)
     R[:dim, :dim], t[:dim] = T.rotation, T.translation
     aligned = estimate.positions[j] @ R.T + t
-    errors_t = np.linalg.norm(reference.positions[i] - aligned, axis=1)
-    errors_r = _angles_deg(np.swapaxes(reference.rotations()[i], 1, 2) @ (R @ estimate.rotations()[j]))
-    return AbsoluteError(
-        ErrorStatistics.of(errors_t),
-        ErrorStatistics.of(errors_r),
-        used=len(i),
-        skipped=skipped,
-        T_reference_estimate=T,
-    )
+    return PoseErrors(
+        i, j, estimate.stamps[j], aligned,
+        np.linalg.norm(reference.positions[i] - aligned, axis=1),
+        _angles_deg(np.swapaxes(reference.rotations()[i], 1, 2) @ (R @ estimate.rotations()[j])),
+        skipped, T,
+    )  # fmt: skip
 
 
 def relative_error(

@@ -3,7 +3,7 @@ from .any_angle.shortcut import shortcut
 from .any_angle.theta_star import any_angle, line_of_sight
 from .between_points import between_points, path_between
 from .path import NoPath, Path, to_cell
-from .path_files import PathTable, read_path, write_path
+from .path_files import PathTable, path_headings, read_path, write_path
 from .replanning.replanner import Replanner
 from .search.astar import astar
 from .search.canonical import canonical
@@ -27,6 +27,7 @@ __all__ = [
     "line_of_sight",
     "nearest_reachable",
     "path_between",
+    "path_headings",
     "plan_many",
     "read_path",
     "shortcut",

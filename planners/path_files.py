@@ -1,66 +1,188 @@
-"""Paths as tables: one row a corner of the path, as any spreadsheet and any robot reads them."""
+"""Paths as files: CSV for any spreadsheet and any robot, JSON for programs, GeoJSON for map viewers."""
 
 from __future__ import annotations
 
 import csv
+import json
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_write
-from hexmap.base.errors import FileAccessError, FormatError
+from hexmap.base.errors import ArgumentError, FileAccessError, FormatError
 from hexmap.base.values import one_line
 
 if TYPE_CHECKING:
     from planners.path import Path
 
-__all__ = ["PathTable", "read_path", "write_path"]
+__all__ = ["ENDINGS", "PathTable", "check_path_file", "path_headings", "read_path", "write_path"]
 
+ENDINGS = (".csv", ".json", ".geojson")
 _POINT = {2: ("x", "y"), 3: ("x", "y", "z")}
 _CELL = {2: ("a", "b"), 3: ("a", "b", "c")}
+_ANGLES = {2: ("heading",), 3: ("heading", "pitch")}
+_COLUMNS = {n: (*_POINT[n], *_CELL[n], "length", *_ANGLES[n]) for n in (2, 3)}
+_FRAME = "metres in the frame of the map: x, y and z, not WGS84 longitude, latitude and altitude"
 
 
 @dataclass(frozen=True, eq=False)
 class PathTable:
-    """What a file says of a path.
+    """What a CSV file says of a path.
 
     Attributes:
         points: (M, n) float64, metres, in the frame of the map.
         cells: (M, n) int32 index of the cells.
         length: (M,) float64 metres from the start to each point along the path.
+        heading: (M,) float64 radians, see :func:`path_headings`; NaN where there is none.
+        pitch: (M,) float64 radians in space, None in the plane.
     """
 
     points: NDArray[np.float64]
     cells: NDArray[np.int32]
     length: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    pitch: NDArray[np.float64] | None = None
 
     __repr__ = one_line
 
 
-def write_path(file: str | os.PathLike[str], path: Path) -> None:
-    """Write the points of a path as CSV: ``x,y,a,b,length`` (``x,y,z,a,b,c,length`` in space) and a row a point.
+def path_headings(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where a robot looks along a polyline (M, n): (M, 1) its heading in the plane, (M, 2) with pitch in space.
 
-    Metres, the cell's index in the lattice's basis, and the metres so far. Numbers are written with
-    all their digits: :func:`read_path` gives the same ones.
+    Radians. The heading is counter-clockwise from x, in (-pi, pi]; the pitch is the climb above the horizon, in
+    [-pi/2, pi/2]. Both are those of the leg that leaves the point, at the last point those of the leg that arrives. A
+    leg without length turns nothing, and a vertical one has no heading: the one before stays, or the first that there
+    is. NaN where the whole path has none.
+    """
+    n = points.shape[1]
+    legs = np.diff(points, axis=0)
+    flat = np.hypot(legs[:, 0], legs[:, 1])
+    out = np.full((len(points), n - 1), np.nan)
+    # Coordinates carry some rounding: what is a billionth of its leg is none.
+    whole = np.sqrt((legs**2).sum(axis=1))
+    out[:, 0] = _carried(np.arctan2(legs[:, 1], legs[:, 0]), (whole > 0.0) & (flat > 1e-9 * whole), len(points))
+    if n == 3:
+        out[:, 1] = _carried(np.arctan2(legs[:, 2], flat), whole > 0.0, len(points))
+    return out
+
+
+def _carried(angles: NDArray[np.float64], known: NDArray[np.bool_], count: int) -> NDArray[np.float64]:
+    """Return an angle a point (count,) of those of the legs (count - 1,), of which some are known."""
+    if not known.any():
+        return np.full(count, np.nan)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+    last[last < 0] = int(np.argmax(known))
+    at = angles[np.append(last, last[-1])]
+    return np.asarray(np.where(at == -math.pi, math.pi, at) + 0.0)  # no -0.0, and one name for due west
+
+
+def check_path_file(file: str | os.PathLike[str]) -> str:
+    """Return the ending of a path's file, in small letters.
 
     Raises:
+        ArgumentError: it is none that a path is written as.
+    """
+    ending = FilePath(file).suffix.lower()
+    if ending not in ENDINGS:
+        found = f"as {FilePath(file).suffix}" if ending else "to a file without an ending"
+        raise ArgumentError(f"{os.fspath(file)}: a path is written as {', '.join(ENDINGS)}, not {found}")
+    return ending
+
+def write_path(file: str | os.PathLike[str], path: Path) -> None:
+    """Write a path, as the ending of the file says.
+
+    - ``.csv``: ``x,y,a,b,length,heading`` (``x,y,z,a,b,c,length,heading,pitch`` in space) and a row a point: metres,
+      the cell's index in the lattice's basis, the metres so far, and where the robot looks, see :func:`path_headings`.
+    - ``.json``: the same by name, with what was measured of the whole path.
+    - ``.geojson``: a feature whose LineString (Point, where there is one point) is in metres of the map. Its member
+      ``coordinates_are`` says so: RFC 7946 means degrees, which a map without a place on the globe has not.
+
+    Angles are in radians. Numbers are written with all their digits: :func:`read_path` gives the same ones of a CSV.
+
+    Raises:
+        ArgumentError: another ending.
         FileAccessError: the file cannot be written.
     """
-    n = path.points.shape[1]
-    legs = np.sqrt((np.diff(path.points, axis=0) ** 2).sum(axis=1))
-    so_far = np.concatenate([[0.0], np.cumsum(legs)])
-    rows = zip(path.points.tolist(), path.cells.tolist(), so_far.tolist(), strict=True)
+    ending = check_path_file(file)
+    if ending == ".csv":
+        _write_csv(file, path)
+        return
+    content = _as_json(path) if ending == ".json" else _as_geojson(path)
     with atomic_write(file, "w") as handle:
-        handle.write(",".join((*_POINT[n], *_CELL[n], "length")) + "\n")
-        handle.writelines(",".join(map(repr, (*point, *cell, metres))) + "\n" for point, cell, metres in rows)
+        handle.write(json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def _along(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the metres (M,) from the start to each point."""
+    legs = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
+    return np.concatenate([[0.0], np.cumsum(legs)])
+
+
+def _write_csv(file: str | os.PathLike[str], path: Path) -> None:
+    angles = path_headings(path.points)
+    rows = zip(
+        path.points.tolist(), path.cells.tolist(), _along(path.points).tolist(), angles.tolist(), strict=True
+    )  # fmt: skip
+    with atomic_write(file, "w") as handle:
+        handle.write(",".join(_COLUMNS[path.points.shape[1]]) + "\n")
+        for point, cell, metres, looks in rows:
+            words = [repr(v) for v in (*point, *cell, metres)] + ["" if math.isnan(v) else repr(v) for v in looks]
+            handle.write(",".join(words) + "\n")
+
+
+def _number(value: float | None) -> float | None:
+    """Return a number as JSON can hold it."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _measures(path: Path) -> dict[str, Any]:
+    """Return what was measured of the whole path."""
+    return {
+        "length": _number(path.length),
+        "cost": _number(path.cost),
+        "turning": _number(path.turning),
+        "clearance": _number(path.clearance),
+        "goal_reached": path.goal_reached,
+    }
+
+
+def _as_json(path: Path) -> dict[str, Any]:
+    n = path.points.shape[1]
+    looks = path_headings(path.points).tolist()
+    points = []
+    for point, cell, metres, angles in zip(
+        path.points.tolist(), path.cells.tolist(), _along(path.points).tolist(), looks, strict=True
+    ):
+        row: dict[str, Any] = dict(zip(_POINT[n], point, strict=True))
+        row |= {"cell": cell, "length": metres} | dict(zip(_ANGLES[n], map(_number, angles), strict=True))
+        points.append(row)
+    return {"kind": "hexmap path", "lengths": "metres", "angles": "radians", **_measures(path), "points": points}
+
+
+def _as_geojson(path: Path) -> dict[str, Any]:
+    n = path.points.shape[1]
+    positions = path.points.tolist()
+    line = len(positions) > 1
+    angles = [[_number(v) for v in column] for column in path_headings(path.points).T.tolist()]
+    return {
+        "type": "Feature",
+        "coordinates_are": _FRAME,
+        "geometry": {
+            "type": "LineString" if line else "Point",
+            "coordinates": positions if line else positions[0],
+        },
+        "properties": {"lengths": "metres", "angles": "radians", **_measures(path)}
+        | dict(zip(_ANGLES[n], angles, strict=True)),
+    }
 
 
 def read_path(file: str | os.PathLike[str]) -> PathTable:
-    """Read what :func:`write_path` wrote.
+    """Read the CSV that :func:`write_path` wrote.
 
     Raises:
         FileAccessError: the file cannot be read.
@@ -74,21 +196,28 @@ def read_path(file: str | os.PathLike[str]) -> PathTable:
     except UnicodeDecodeError as error:
         raise FormatError(f"{name}: not a path: not text") from error
     head = tuple(lines[0].split(",")) if lines else ()
-    n = next((k for k in _POINT if head == (*_POINT[k], *_CELL[k], "length")), 0)
+    n = next((k for k in _POINT if head == _COLUMNS[k]), 0)
     if n == 0:
-        raise FormatError(f"{name}, line 1: not a path: the columns must be x,y,a,b,length or x,y,z,a,b,c,length")
+        either = " or ".join(",".join(columns) for columns in _COLUMNS.values())
+        raise FormatError(f"{name}, line 1: not a path: the columns must be {either}")
     values = []
     for number, row in enumerate(csv.reader(lines[1:]), start=2):
         try:
             point, cell, metres = [float(v) for v in row[:n]], [int(v) for v in row[n : 2 * n]], float(row[2 * n])
-            if len(row) != 2 * n + 1 or not np.isfinite([*point, metres]).all() or max(map(abs, cell)) >= 2**31:
+            angles = [float(v) if v else math.nan for v in row[2 * n + 1 :]]
+            finite = [*point, metres, *(a for a, v in zip(angles, row[2 * n + 1 :], strict=True) if v)]
+            if len(row) != len(head) or not np.isfinite(finite).all() or max(map(abs, cell)) >= 2**31:
                 raise ValueError
         except (ValueError, IndexError) as error:
             raise FormatError(
-                f"{name}, line {number}: a point takes {2 * n + 1} numbers, not {','.join(row)!r}"
+                f"{name}, line {number}: a point takes {len(head)} numbers, not {','.join(row)!r}"
             ) from error
-        values.append((point, cell, metres))
+        values.append((point, cell, metres, angles))
     if not values:
         raise FormatError(f"{name}: a path without a point")
-    points, cells, length = zip(*values, strict=True)
-    return PathTable(np.array(points, np.float64), np.array(cells, np.int32), np.array(length, np.float64))
+    points, cells, length, looks = zip(*values, strict=True)
+    turned = np.array(looks, np.float64)
+    return PathTable(
+        np.array(points, np.float64), np.array(cells, np.int32), np.array(length, np.float64),
+        turned[:, 0], turned[:, 1] if n == 3 else None,
+    )  # fmt: skip

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["plural", "printable", "quoted", "reason", "shown", "whole_number"]
+__all__ = ["plural", "printable", "quoted", "reason", "shown", "spreadsheet_text", "whole_number"]
+
+_DATE = re.compile(r"\d{1,4}[/-]\d{1,2}([/-]\d{1,4})?")
 
 
 def shown(token: bytes | str, length: int = 24) -> str:
@@ -47,6 +49,21 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+def spreadsheet_text(text: str) -> str:
+    """Return text for a cell of a CSV file that a spreadsheet shows as it stands.
+
+    What it would run as a formula, as a file's name may be, or take for a date, as 1/2, gets a quote. After a sign only
+    a call or a link does anything: "- no list" stays as it is.
+
+    Examples:
+        >>> from hexmap.base.text import spreadsheet_text
+        >>> [spreadsheet_text(text) for text in ("=1+1", "1/2", "A2-6", "1/2 of it")]
+        ["'=1+1", "'1/2", 'A2-6', '1/2 of it']
+    """
+    runs = text.startswith(("=", "@", "\t", "\r")) or (text.startswith(("+", "-")) and any(c in text for c in "(|!"))
+    return "'" + text if runs or _DATE.fullmatch(text) else text
 
 
 def plural(count: int, noun: str) -> str:

@@ -9,8 +9,8 @@ from typing import Annotated, TypeVar
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import first_run_note, progress_line, say
-from hexmap.cli.experiments import check_folder, command_line, write_report
+from hexmap.cli.console import first_run_note, progress_line, wrote
+from hexmap.cli.experiments import check_folder, command_line, say_if_resumed, write_report
 from hexmap.cli.lattice_options import Bases, parse_basis
 from hexmap.cli.plan.map_source import found
 
@@ -52,6 +52,7 @@ def planning(
     from hexmap.base.errors import ArgumentError, FormatError, HexmapError
     from hexmap.io.file_kinds import is_parquet
     from planners.benchmark.benchmark import planning_benchmark
+    from planners.benchmark.report_queries import QUERIES
     from planners.benchmark.settings import BenchmarkSettings
 
     check_folder(output)
@@ -81,11 +82,7 @@ def planning(
         fractions=_numbers(fractions, "--fractions", int),
         max_cells=max_cells, seed=seed, planners=chosen,
     ).with_own([parse_basis(text) for text in basis or ()])  # fmt: skip
-    if any(output.glob("cases-*.jsonl")):
-        say(
-            f"{output}: finished cases of an earlier run are kept, with their times; "
-            "remove the files cases-*.jsonl to compute all of them again"
-        )
+    say_if_resumed(output)
     first_run_note()
     fraction = [0.0]
     with progress_line("planning", lambda: fraction[0], "cases") as update:
@@ -99,6 +96,8 @@ def planning(
             workers=workers, progress=progress,
         )  # fmt: skip
     write_report(outcome.report, output)
+    wrote(output / f"{QUERIES}.csv", "the answer of every planner to every query")
+    wrote(output / "report.html", "to begin with")
     if outcome.failures:
         raise HexmapError("; ".join(outcome.failures))
 

@@ -118,11 +118,12 @@ def build(
     level: Annotated[bool | None, typer.Option(help="Turn a LiDAR's map so that floors are level.")] = None,
 ) -> None:
     """Build a map from a log: match every scan, or take given poses, and fuse."""
-    from hexmap.base.errors import ArgumentError, TrajectoryError
-    from hexmap.drawing.map_drawing import check_picture
-    from hexmap.io.lidar.open_lidar import is_lidar_log
-    from hexmap.io.logs.open_log import open_log
-    from hexmap.io.trajectories import read_trajectory
+    with progress_line("loading", lambda: 0.0):
+        from hexmap.base.errors import ArgumentError, TrajectoryError
+        from hexmap.drawing.map_drawing import check_picture
+        from hexmap.io.lidar.open_lidar import is_lidar_log
+        from hexmap.io.logs.open_log import open_log
+        from hexmap.io.trajectories import read_trajectory
 
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     check_outputs(
@@ -366,8 +367,9 @@ def _map_logs(
     result: MappingResult | None = None
     world = old
     for source, checkpoints in zip(sources, kept, strict=True):
-        if checkpoints is not None and checkpoints.path.exists():
-            say(f"{source.path}: goes on from {checkpoints.path}")
+        begun = None if checkpoints is None else checkpoints.readings()
+        if checkpoints is not None and begun is not None:
+            say(f"{source.path}: goes on after {begun:,} readings, which {checkpoints.path} holds")
         how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
         if world is None:
             new = build_loop_closed_map(source, settings, **how)

@@ -12,7 +12,17 @@ import typer
 
 from hexmap.base.errors import ArgumentError, HexmapError, LatticeError
 from hexmap.base.text import printable
-from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, showing, viewing
+from hexmap.cli import (
+    benchmark,
+    build,
+    experiments,
+    localisation_experiment,
+    localise,
+    mapping,
+    showing,
+    trajectories,
+    viewing,
+)
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
 
@@ -21,7 +31,7 @@ __all__ = ["app", "run"]
 STOPPED = 130
 # What the parser says of words that are no numbers.
 _JARGON = {"valid integer": "a whole number", "valid number": "a number", "valid boolean": "true or false"}
-_OUTPUTS = ("-o", "--output", "--picture", "--loops-picture")
+_OUTPUTS = ("-o", "--output", "--picture", "--loops-picture", "--csv", "--json", "--write-times")
 
 app = typer.Typer(
     name="hexmap",
@@ -37,7 +47,8 @@ app.command()(mapping.simulate)
 app.command()(build.build)
 app.command()(localise.localise)
 app.command()(mapping.merge)
-app.command()(mapping.evaluate)
+app.command()(trajectories.evaluate)
+app.command()(trajectories.convert)
 app.command()(viewing.info)
 app.command()(viewing.lattices)
 app.command()(showing.show)

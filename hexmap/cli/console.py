@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -156,24 +155,7 @@ def progress_line(what: str, fraction: Callable[[], float], noun: str = "scans")
     if not sys.stderr.isatty():
         yield lambda scans: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from hexmap.cli.progress import progress_on_terminal
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn(
-            "{task.percentage:>3.0f} %  {task.fields[scans]} " + noun + ", {task.fields[rate]:.0f} a second, left"
-        ),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=1.0, scans=0, rate=0.0)
-        begin = time.monotonic()
-
-        def update(scans: int) -> None:
-            if scans % 10 == 0:
-                rate = scans / max(time.monotonic() - begin, 1e-6)
-                bar.update(task, completed=fraction(), scans=scans, rate=rate)
-
+    with progress_on_terminal(what, fraction, noun) as update:
         yield update

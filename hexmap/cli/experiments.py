@@ -73,6 +73,7 @@ def rotation(
     settings.make_lattices(dim)
     for text in warnings:
         warn(text)
+    say_if_resumed(output)
     first_run_note()
     fraction_done = [0.0]
     with progress_line("rotating", lambda: fraction_done[0], "cases") as update:
@@ -127,6 +128,15 @@ def make_folder(output: Path) -> Path:
     except OSError as error:
         raise FileAccessError(f"{output}: cannot be made: {error.strerror}") from error
     return output
+
+
+def say_if_resumed(output: Path) -> None:
+    """Say that cases which an earlier run has finished are not computed again."""
+    if any(output.glob("cases-*.jsonl")):
+        say(
+            f"{output}: finished cases of an earlier run are kept, with their times; "
+            "remove the files cases-*.jsonl to compute all of them again"
+        )
 
 
 def write_report(report: object, output: Path) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
-from hexmap.cli.experiments import Folder, check_folder, command_line, make_folder
+from hexmap.cli.experiments import Folder, check_folder, command_line, make_folder, say_if_resumed
 from hexmap.cli.lattice_options import Bases, parse_basis
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ def localisation(
     )  # fmt: skip
     source, other = open_log(log), None if test is None else open_log(test)
     reference, other_reference = (None if path is None else read_trajectory(path) for path in (poses, test_poses))
-    if any(output.glob("cases-*.jsonl")):
-        say(f"{output}: finished cases of an earlier run are kept, with their times")
+    say_if_resumed(output)
     first_run_note()
     fraction = [0.0]
     with progress_line("localising", lambda: fraction[0], "cases") as update:

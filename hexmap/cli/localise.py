@@ -70,12 +70,13 @@ def localise(
 
     Poses are written for the scans at which one place stands out; until then, and where the robot is lost, none.
     """
-    from hexmap.base.errors import ArgumentError
-    from hexmap.drawing.map_drawing import check_picture
-    from hexmap.io.lidar.open_lidar import is_lidar_log
-    from hexmap.io.logs.log import LogSettings
-    from hexmap.io.logs.open_log import open_log
-    from localisation.localiser.settings import LocaliserSettings
+    with progress_line("loading", lambda: 0.0):
+        from hexmap.base.errors import ArgumentError
+        from hexmap.drawing.map_drawing import check_picture
+        from hexmap.io.lidar.open_lidar import is_lidar_log
+        from hexmap.io.logs.log import LogSettings
+        from hexmap.io.logs.open_log import open_log
+        from localisation.localiser.settings import LocaliserSettings
 
     _check_numbers({"--start": start, "--mount": mount, "--resolution": resolution, "--level": level})
     check_outputs({"--output": output, "--csv": csv, "--picture": picture}, (*inputs_of(map), log))

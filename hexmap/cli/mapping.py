@@ -1,4 +1,4 @@
-"""Commands around maps: demo, simulate, merge, evaluate."""
+"""Commands around maps: demo, simulate, merge."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hexmap.cli.build import Associate, Readings, build_and_report
+from hexmap.cli.build import Readings, build_and_report
 from hexmap.cli.build_lidar import lidar_settings
-from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, wrote
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
     from hexmap.poses.pose import Pose
-    from localisation.evaluation import ErrorStatistics
 
 
 def simulate(
@@ -227,49 +226,6 @@ def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
     found = align_maps(a, b, rules=(rule_of(None, None, a.sources()), rule_of(None, None, b.sources())))
     what = f"{pose_words(found.pose)}, {found.overlap:.0%} overlap, {found.contradicted:.0%} contradicted"
     return merge_aligned(a, b, found), what
-
-
-def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="The poses to judge (TUM, KITTI or EuRoC).")],
-    relations: Annotated[Path | None, typer.Option(help="True relative poses (Kuemmerle 2009).")] = None,
-    reference: Annotated[Path | None, typer.Option(help="True poses (TUM, KITTI or EuRoC).")] = None,
-    associate: Annotated[Associate, typer.Option(help="How poses go with the reference.")] = Associate.time,
-    tolerance: Annotated[float, typer.Option(help="Seconds that associated stamps may differ.")] = 0.1,
-    step: Annotated[float, typer.Option(help="Distance of the pairs for the relative error, m.")] = 1.0,
-) -> None:
-    """Score a trajectory: relations, or absolute error after rigid alignment and relative error."""
-    from hexmap.base.errors import ArgumentError, TrajectoryError
-    from hexmap.io.trajectories import read_relations, read_trajectory
-    from localisation.evaluation import absolute_error, evaluate_relations, relative_error
-
-    if relations is None and reference is None:
-        raise ArgumentError("evaluate takes --relations or --reference, or both")
-    if not (math.isfinite(step) and step > 0.0):
-        raise typer.BadParameter(f"--step is a positive number of metres, not {step:g}")
-    poses = read_trajectory(trajectory)
-    if relations is not None:
-        score = evaluate_relations(poses, read_relations(relations), tolerance)
-        say(f"relations: {score.used} used, {score.skipped} without poses near enough in time")
-        _report("translation", score.translation, "m")
-        _report("rotation", score.rotation_deg, "deg")
-    if reference is not None:
-        truth = read_trajectory(reference)
-        ate = absolute_error(truth, poses, associate.value, tolerance)
-        say(f"absolute error after rigid alignment: {ate.used} poses used, {ate.skipped} left out")
-        _report("translation", ate.translation, "m")
-        _report("rotation", ate.rotation_deg, "deg")
-        try:
-            rpe = relative_error(truth, poses, step, "metres", associate.value, tolerance)
-        except TrajectoryError as error:  # what was asked for and is known has been said
-            warn(f"no relative error: {error}")
-            return
-        say(f"relative error over {step:g} m: {rpe.used} pairs")
-        _report("translation", rpe.translation, "m")
-        _report("rotation", rpe.rotation_deg, "deg")
-
-
-def _report(what: str, s: ErrorStatistics, unit: str) -> None:
-    say(f"  {what:<12} mean {s.mean:.4f}  rmse {s.rmse:.4f}  median {s.median:.4f}  max {s.max:.4f} {unit}")
 
 
 def demo(

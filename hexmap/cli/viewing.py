@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -75,11 +76,37 @@ def _map_info(map: Path, config: bool) -> None:
         say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
     for source in sources:
         say(f"from {source.get('log', 'unknown')} ({source.get('format', 'unknown')}), poses: {source.get('poses')}")
-        versions = source.get("versions")
-        if isinstance(versions, dict):
-            say("versions: " + ", ".join(f"{k} {v}" for k, v in versions.items()))
-        say("configuration (for --config):")
-        say(json.dumps(source.get("settings"), indent=2))
+    _say_once("versions", [source.get("versions") for source in sources], sources, _versions_in_words)
+    _say_once("configuration", [source.get("settings") for source in sources], sources, _settings_in_words)
+
+
+def _say_once(
+    what: str, values: list[Any], sources: list[dict[str, Any]], in_words: Callable[[Any, bool], str | None]
+) -> None:
+    """Say each different value that the sources of a map have, and of which logs it is where they differ."""
+    different: list[tuple[Any, list[str]]] = []
+    for value, source in zip(values, sources, strict=True):
+        logs = next((logs for other, logs in different if other == value), None)
+        if logs is None:
+            different.append((value, logs := []))
+        logs.append(str(source.get("log", "unknown")))
+    for value, logs in different:
+        words = in_words(value, len(different) == 1)
+        if words is not None:
+            of = f" of {', '.join(dict.fromkeys(logs))}" if len(different) > 1 else ""
+            say(f"{what}{of}{words}")
+
+
+def _versions_in_words(versions: Any, only: bool) -> str | None:
+    if not isinstance(versions, dict):
+        return None
+    return ": " + ", ".join(f"{k} {v}" for k, v in versions.items())
+
+
+def _settings_in_words(settings: Any, only: bool) -> str:
+    import json
+
+    return f"{' (for --config)' if only else ''}:\n{json.dumps(settings, indent=2)}"
 
 
 def _grid_info(path: Path) -> None:

@@ -1,7 +1,7 @@
 from .exports import export, export_csv, export_ply
 from .map_file import load_map, read_metadata, save_map
 from .ros_map import export_ros
-from .trajectories import TumWriter, read_relations, read_trajectory, read_tum, write_tum
+from .trajectories import TumWriter, read_relations, read_trajectory, read_tum, write_kitti, write_tum
 
 __all__ = [
     "TumWriter",
@@ -15,5 +15,6 @@ __all__ = [
     "read_trajectory",
     "read_tum",
     "save_map",
+    "write_kitti",
     "write_tum",
 ]

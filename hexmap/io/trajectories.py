@@ -1,4 +1,4 @@
-"""Trajectory files: TUM in and out, KITTI and EuRoC in, and true relations in."""
+"""Trajectory files: TUM and KITTI in and out, EuRoC in, and true relations in."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import IO, Literal
 
 import numpy as np
 
@@ -42,24 +42,53 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
     return Trajectory(table[:, 0], table[:, 1:4], table[:, 4:])
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+def read_trajectory(path: str | os.PathLike[str], times: str | os.PathLike[str] | None = None) -> Trajectory:
     """Read a trajectory in the format of TUM, KITTI or EuRoC, whichever the first line of numbers is of.
 
     - TUM: ``stamp x y z qx qy qz qw``, see :func:`read_tum`.
-    - KITTI: the twelve numbers of a 3 x 4 matrix, row after row; there are no stamps, so they count the poses, from 0.
+    - KITTI: the twelve numbers of a 3 x 4 matrix, row after row; there are no stamps, so they count the poses, from 0,
+      or come from ``times``.
     - EuRoC: ``nanoseconds,x,y,z,qw,qx,qy,qz`` and any number of columns more, with commas.
 
     The axes are those of the file. Comments (#), blank lines and a byte-order mark are skipped.
 
+    Args:
+        path: the file.
+        times: for poses of KITTI, a file with the stamp of each, in seconds, a line each.
+
+    Raises:
+        FileAccessError: a file cannot be opened.
+        TrajectoryError: a line that is not of the format, a rotation that is none (to 1 %), a file without poses, as
+            many stamps as there are not poses, or stamps for poses that have their own; the text names file, line and
+            value.
+    """
+    kind = trajectory_kind(path)
+    if times is not None and kind != "KITTI":
+        raise TrajectoryError(f"{path}: poses of {kind} have stamps of their own, and {times} would be others")
+    if kind == "EuRoC":
+        return _read_euroc(path)
+    if kind == "TUM":
+        return read_tum(path)
+    poses = _read_kitti(path)
+    if times is None:
+        return poses
+    stamps, _ = _read_table(times, ("seconds",), "stamps")
+    if len(stamps) != len(poses):
+        raise TrajectoryError(f"{times}: {len(stamps)} stamps do not fit the {len(poses)} poses of {path}")
+    return Trajectory(stamps[:, 0], poses.positions, poses.quaternions)
+
+
+def trajectory_kind(path: str | os.PathLike[str]) -> Literal["TUM", "KITTI", "EuRoC"]:
+    """Return what the first line of numbers of a file of poses is of.
+
     Raises:
         FileAccessError: the file cannot be opened.
-        TrajectoryError: a line that is not of the format, a rotation that is none (to 1 %), or a file without poses;
-            the text names file, line and value.
+        TrajectoryError: there are no poses in it.
     """
     first = _first_line(path)
     if b"," in first:
-        return _read_euroc(path)
-    return _read_kitti(path) if len(first.split()) == len(_KITTI) else read_tum(path)
+        return "EuRoC"
+    return "KITTI" if len(first.split()) == len(_KITTI) else "TUM"
 
 
 def _read_kitti(path: str | os.PathLike[str]) -> Trajectory:
@@ -99,6 +128,25 @@ def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
     with TumWriter(path) as writer:
         for stamp, pose in zip(trajectory.stamps.tolist(), trajectory, strict=True):
             writer.append(stamp, pose)
+
+
+def write_kitti(
+    path: str | os.PathLike[str], trajectory: Trajectory, times: str | os.PathLike[str] | None = None
+) -> None:
+    """Write a trajectory in KITTI format: the twelve numbers of each pose's 3 x 4 matrix, row after row, in metres.
+
+    The format has no stamps: ``times`` is where they go, in seconds, a line each. Axes stay as they are.
+
+    Raises:
+        FileAccessError: a folder is missing or not writable.
+    """
+    matrices = np.concatenate([trajectory.rotations(), trajectory.positions[:, :, None]], axis=2).reshape(-1, 12) + 0.0
+    with contextlib.ExitStack() as stack:
+        handle = stack.enter_context(atomic_write(path, "w"))
+        handle.writelines(" ".join(f"{v:.12e}" for v in row) + "\n" for row in matrices.tolist())
+        if times is not None:
+            of_times = stack.enter_context(atomic_write(times, "w"))
+            of_times.writelines(f"{stamp:.6f}\n" for stamp in trajectory.stamps.tolist())
 
 
 class TumWriter:

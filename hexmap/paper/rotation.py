@@ -72,6 +72,9 @@ def rotation_experiment(
     )  # fmt: skip
     results = RotationResults(points, lattices, settings, _samples(settings, run, progress))
     report = Report(f"Lattices under rotation: {source}", command, asdict(settings))
+    sections.add_verdicts(report, results)
+    sections.add_outcomes(report, results)
+    report.heading("What was done")
     report.paragraph(_summary(results))
     for note in notes:
         report.paragraph(note)
@@ -79,7 +82,6 @@ def rotation_experiment(
     sections.add_curves(report, results)
     sections.add_cells(report, results)
     sections.add_worth(report, results)
-    sections.add_verdicts(report, results)
     return report
 
 
@@ -116,11 +118,9 @@ def _samples(
 def _summary(results: RotationResults) -> str:
     """Return the first paragraph: what was done with what."""
     settings, dim = results.settings, results.base.dim
-    size = settings.resolution**dim
-    cell = f"{size:g} m2" if dim == 2 else f"{1000 * size:g} litres"
     return (
         f"{len(results.points):,} points on {', '.join(v.name for v in results.lattices)} at equal cells of "
-        f"{cell} (resolution {settings.resolution:g} m): "
+        f"{results.cell} (resolution {settings.resolution:g} m): "
         f"{len(settings.degrees)} turns about {settings.axis if dim == 3 else 'z'} through the file's origin, and "
         f"{settings.random} uniformly random rotations with random shifts. sigma is the population's, as in the paper; "
         "intervals are 95 % bootstrap intervals (BCa; of whole stretches of the curve where neighbouring angles are "

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.values import one_line
+from hexmap.experiments.report.elements import Compared, Standing
 from hexmap.experiments.report.figures import COLOURS, figure_style
+from hexmap.experiments.report.numbers import format_number
 from hexmap.experiments.report.report import Report
 from hexmap.experiments.statistics import Interval, Statistic, bootstrap, bootstrap_ratio, cv, interquartile_factor
 from hexmap.experiments.statistics import mean as mean_of
@@ -33,6 +35,7 @@ __all__ = [
     "Sample",
     "add_cells",
     "add_curves",
+    "add_outcomes",
     "add_tables",
     "add_verdicts",
     "add_worth",
@@ -45,6 +48,12 @@ PAPER: dict[str, dict[str, float]] = {
     "D3*": {"count": 0.006, "distortion": 0.0033},
     "Z2": {"count": 13.7 / 390.0, "distortion": 0.0046 / 0.382},
     "A2": {"count": 7.02 / 376.0, "distortion": 0.0040 / 0.378},
+}
+# By dimension: what the paper's column was measured on.
+_PAPERS_OWN = {
+    2: "The paper's sigma / mu is that of its own scan on cells of 1 m2 (section VI).",
+    3: "The paper's sigma / mu (Table II) is that of its own scan of 80,000 points and its own cells; how much "
+    "varies depends on the size of the cells, so compare lattices within a column.",
 }
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 
@@ -99,6 +108,12 @@ class RotationResults:
         """The square or cubic lattice."""
         return self.lattices[0]
 
+    @property
+    def cell(self) -> str:
+        """The size of a cell in words."""
+        size = self.settings.resolution**self.base.dim
+        return f"{size:g} m2" if self.base.dim == 2 else f"{1000 * size:g} litres"
+
 
 # ---------------------------------------------------------------------- Table II
 
@@ -112,10 +127,10 @@ def add_tables(report: Report, results: RotationResults) -> None:
         percent = [f"{q} {w}" for q in ("count", "distortion") for w in ("sigma/mu", "quartiles", "paper")]
         report.table(
             f"table2_{kind}", rows,
-            columns={c: c for c in rows[0]},
+            columns={c: _heading(c, results) for c in rows[0]},
             formats=dict.fromkeys(percent, ".2%") | {"count mean": ".1f", "distortion mean": ".5f"},
             caption="Cells and distortion (m): mean, sigma / mu and inter-quartile factor (Q3 - Q1) / (Q3 + Q1)"
-            + (", and the paper's sigma / mu on its own scan (Table II)." if kind == "axis" else "."),
+            + (f". {_PAPERS_OWN[results.base.dim]}" if kind == "axis" else "."),
         )  # fmt: skip
         ratios = [_ratios(results, k, kind) for k in range(1, len(results.lattices))]
         report.table(
@@ -123,6 +138,13 @@ def add_tables(report: Report, results: RotationResults) -> None:
             formats={c: ".3f" for c in ratios[0] if c != "lattice"},
             caption=f"How many times {results.base.name}'s value is the other's, under the same transforms.",
         )  # fmt: skip
+
+
+def _heading(column: str, results: RotationResults) -> str:
+    """Return the heading of a column of Table II: beside the paper's, ours says of what cells it is."""
+    if column.endswith(" paper"):
+        return f"{column}, its cells" + (" of 1 m2" if results.base.dim == 2 else "")
+    return f"{column}, cells of {results.cell}" if column.endswith("sigma/mu") else column
 
 
 def _variability(results: RotationResults, k: int, kind: str) -> dict[str, Any]:
@@ -315,6 +337,41 @@ def _add_diagonal(report: Report, lattices: list[Lattice]) -> None:
 
 
 # ---------------------------------------------------------------------- verdicts
+
+
+def add_outcomes(report: Report, results: RotationResults) -> None:
+    """Add the matrix of what each lattice wins and loses against the square or cubic one."""
+    measures = (
+        ("cells vary", "count", "axis", cv), ("cells vary", "count", "random", cv),
+        ("distortion varies", "distortion", "axis", cv), ("distortion varies", "distortion", "random", cv),
+        ("match score varies", "at_pose", "random", cv),
+        ("cells", "count", "axis", mean_of), ("cells", "count", "random", mean_of),
+        ("distortion", "distortion", "axis", mean_of), ("distortion", "distortion", "random", mean_of),
+    )  # fmt: skip
+    cells: dict[str, dict[str, Compared | None]] = {}
+    for k in range(1, len(results.lattices)):
+        line = cells.setdefault(f"{results.lattices[k].name} against {results.base.name}", {})
+        for word, key, kind, statistic in measures:
+            column = f"{word}, {'turns' if kind == 'axis' else 'at random'}"
+            line[column] = _compared(results.samples[key, kind], k, statistic)
+    if not cells:
+        return
+    report.heading("Win, even, lose")
+    report.matrix(
+        "outcomes", cells, "lattice",
+        f"How many times {results.base.name}'s value a lattice's is, under the same transforms, on cells of "
+        f"{results.cell}: sigma / mu where something varies, else the mean; under the turns, and under random "
+        "rotations and shifts. Less is better; won and lost where the 95 % interval does not hold 1.",
+    )  # fmt: skip
+
+
+def _compared(sample: Sample, k: int, statistic: Statistic) -> Compared | None:
+    """Return what became of the k-th lattice against the first; None where there is no ratio, as nothing varies."""
+    if not statistic(sample.values[0]) > 0.0:
+        return None
+    ratio = sample.ratio(k, 0, statistic)
+    standing: Standing = "tie" if ratio.low <= 1.0 <= ratio.high else "win" if ratio.value < 1.0 else "lose"
+    return Compared(standing, format_number(ratio.value, ".2f" if abs(ratio.value - 1.0) >= 0.01 else ".4f"))
 
 
 def add_verdicts(report: Report, results: RotationResults) -> None:

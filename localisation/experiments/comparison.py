@@ -11,6 +11,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError
+from hexmap.experiments.report.elements import Standing
 from hexmap.experiments.statistics import Interval, block_length, bootstrap
 from localisation.experiments.results import Results, Row, column, confidence, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
@@ -79,7 +80,7 @@ class Comparison:
     here: float
     interval: Interval
     pairs: int
-    outcome: str
+    outcome: Standing
 
 
 # ---------------------------------------------------------------------- columns and statistics
@@ -245,7 +246,7 @@ def permutation_test(u: Values, v: Values, statistic: Statistic, ratio: bool, bl
 
 def compare(
     measure: Measure, a: Sequence[Row], b: Sequence[Row], seed: int
-) -> tuple[float, float, Interval, int, str] | None:
+) -> tuple[float, float, Interval, int, Standing] | None:
     """Compare rows of one grid with those of another on the same scans, in the order of the log.
 
     Returns:
@@ -278,7 +279,7 @@ def compare(
     # Where few pairs differ, or there are few, the bootstrap is too sure of them.
     decided = decided and permutation_test(u, v, measure.statistic, measure.ratio, block, seed) <= _SIGNIFICANT
     more = interval.value > even
-    outcome = "tie" if not decided else "win" if more == (measure.better > 0) else "lose"
+    outcome: Standing = "tie" if not decided else "win" if more == (measure.better > 0) else "lose"
     return there, here, interval, len(u), outcome
 
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hexmap.experiments.report.elements import Compared
+from hexmap.experiments.report.numbers import format_number
 from hexmap.experiments.report.report import Report
 from localisation.experiments import figures
 from localisation.experiments.baselines.particle_filter import FilterSettings
@@ -27,15 +29,17 @@ def make_report(results: Results, command: str = "") -> Report:
     s = results.settings
     comparisons = compare_all(results)
     report = Report(f"Localisation on lattices: {results.world.source}", command, s.table())
-    if comparisons:
-        report.paragraph(summary(comparisons))
-    report.paragraph(_what_was_done(results))
-    report.paragraph(results.world.reference)
     report.heading("Verdicts")
     report.verdicts(judge(results, comparisons))
     if comparisons:
         report.heading("Win, even, lose")
         _add_outcomes(report, comparisons)
+        report.paragraph(summary(comparisons))
+    report.heading("What was done")
+    report.paragraph(_what_was_done(results))
+    report.paragraph(results.world.reference)
+    if comparisons:
+        _add_comparisons(report, comparisons)
     for task, add in (("global", _add_global), ("local", _add_local), ("localise", _add_runs), ("mapping", _add_maps),
                       ("rotation", _add_rotation), ("learning", _add_learning)):  # fmt: skip
         if results.select(task=task):
@@ -65,18 +69,24 @@ def _what_was_done(results: Results) -> str:
 
 
 def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
-    """Add the table of win, even and lose, and all comparisons with their numbers."""
-    columns = list(dict.fromkeys((c.rival, c.equal, c.resolution) for c in comparisons))
-    rows: dict[str, Row] = {}
+    """Add the matrix of win, even and lose."""
+    columns = list(dict.fromkeys(f"{c.rival} {c.equal} {c.resolution:g} m" for c in comparisons))
+    cells: dict[str, dict[str, Compared | None]] = {}
     for c in comparisons:
-        row = rows.setdefault(c.measure.label, {"measure": c.measure.label})
-        row[f"{c.rival} {c.equal} {c.resolution:g} m"] = {"tie": "even"}.get(c.outcome, c.outcome)
-    base = comparisons[0].base
-    report.table(
-        "outcomes", list(rows.values()), ["measure", *(f"{n} {e} {r:g} m" for n, e, r in columns)],
-        caption=f"Whether a lattice wins or loses against {base} of the same resolution on the same scans, at equal "
-        "cell area (cell) and at equal covering radius (radius). Even: the data do not decide it.",
+        line = cells.setdefault(c.measure.label, dict.fromkeys(columns))
+        text = format_number(c.interval.value, ".2f" if c.measure.ratio else "+.2f")
+        line[f"{c.rival} {c.equal} {c.resolution:g} m"] = Compared(c.outcome, text)
+    report.matrix(
+        "outcomes", cells, "measure",
+        f"Whether a lattice wins or loses against {comparisons[0].base} of the same resolution on the same scans, at "
+        "equal cell area (cell) and at equal covering radius (radius). The number is the ratio or, with a sign, the "
+        "difference. Even: the data do not decide it.",
     )  # fmt: skip
+
+
+def _add_comparisons(report: Report, comparisons: Sequence[Comparison]) -> None:
+    """Add all comparisons with their numbers."""
+    base = comparisons[0].base
     report.table(
         "comparisons",
         [

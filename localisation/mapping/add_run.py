@@ -18,7 +18,7 @@ from hexmap.maps.map import Map
 from hexmap.maps.origin import frames_of, sources_in_frame
 from localisation.mapping.align import Alignment, AlignSettings, align_maps
 from localisation.mapping.checkpoint import Checkpoints
-from localisation.mapping.loop_closed_map import MappedRun, Phase, fuse_run, map_run
+from localisation.mapping.loop_closed_map import MappedRun, Phase, fuse_run, map_run, silent
 from localisation.mapping.result import MappingResult, OnPose
 from localisation.matching.global_matcher import GlobalMatcher, thin
 from localisation.matching.search_region import SearchRegion
@@ -86,8 +86,11 @@ def add_run(
         )
     run = map_run(log, settings, loops, phase=phase, checkpoints=checkpoints)
     alone = fuse_run(run, settings, phase=phase)
-    found = align_maps(map, alone.map, align, rules=(settings.rule, settings.rule))
-    held = _hold(map, run, settings, planar.of_pose(found.pose))
+    shown = phase or silent
+    with shown("looking for it in the map", lambda: 0.0):
+        found = align_maps(map, alone.map, align, rules=(settings.rule, settings.rule))
+    with shown("bending it to the map", lambda: 0.0):
+        held = _hold(map, run, settings, planar.of_pose(found.pose))
     result = fuse_run(held, settings, on_pose=on_pose, phase=phase)
     moved = Map(result.map.levels, map.frame, sources_in_frame(result.map.sources(), frames_of(map.sources())))
     return replace(result, map=map.merge(moved, same_frame=True)), found

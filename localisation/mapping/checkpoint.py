@@ -120,10 +120,20 @@ class Checkpoints:
             # The sum over a log takes a while, and a run has one log.
             if self._described is None or self._described[0] != log.path:
                 self._described = log.path, _describe(log, settings, loops)
-            handle.write(json.dumps(self._described[1], sort_keys=True).encode() + b"\n")
+            run = {**self._described[1], "readings": readings}
+            handle.write(json.dumps(run, sort_keys=True).encode() + b"\n")
             handle.write(hashlib.sha256(body).hexdigest().encode() + b"\n")
             handle.write(body)
         self._last = time.monotonic()
+
+    def readings(self) -> int | None:
+        """Return how many readings of the log the checkpoint holds, as it says; None where there is none that does."""
+        try:
+            with open(self.path, "rb") as handle:
+                count = json.loads(handle.readline())["readings"] if handle.readline() == _MAGIC else None
+        except (OSError, ValueError, LookupError, TypeError):
+            return None
+        return count if isinstance(count, int) else None
 
     def forget(self) -> None:
         """Remove the checkpoint: the run is done."""

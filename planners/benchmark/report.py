@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.values import one_line
-from hexmap.experiments.report.report import Report
+from hexmap.experiments.report.report import Report, Verdict
 from hexmap.experiments.statistics import Interval, bootstrap
 from hexmap.experiments.statistics import mean as mean_of
-from planners.benchmark.report_comparison import report_comparison
+from planners.benchmark.report_comparison import compare_grids, length_verdicts, report_comparison
 from planners.benchmark.report_effort import report_free_space, report_maps, report_measures, report_times
 from planners.benchmark.report_lengths import report_lengths
-from planners.benchmark.report_words import IntervalOf, compared_sizes, optimum_word
+from planners.benchmark.report_queries import report_queries
+from planners.benchmark.report_words import IntervalOf, compared_sizes, optimum_word, share_word
 from planners.benchmark.result_group import (
     BaselineRow,
     ResultGroup,
@@ -49,26 +50,31 @@ def make_report(results: Results, command: str) -> Outcome:
     """Return the report of a run."""
     s = results.settings
     baseline, roots = baseline_rows(results)
-    kept = kept_queries(results)
-    groups = collect(results, kept, reference_lengths(results))
+    kept, optima = kept_queries(results), reference_lengths(results)
+    groups = collect(results, kept, optima)
     interval = _interval(s.seed)
     names = ", ".join(problems.name for problems in results.problem_sets)
     report = Report(f"Planning on squares and hexagons, cubes, FCC and BCC: {names}", command, settings_table(s))
 
-    _report_baseline(report, baseline, roots)
+    _report_baseline(report, baseline)
+    comparisons = compare_grids(groups, s.seed)
+    report.heading("Verdicts")
+    report.verdicts([*_baseline_verdict(baseline, roots), *length_verdicts(comparisons)])
+    report.heading("Win, even, lose")
+    report_comparison(report, comparisons)
+    report.heading("The run in numbers")
     _report_queries(report, results, kept)
-    report.heading("Who wins what")
-    report_comparison(report, groups, s.seed)
     report.table(
         "summary", _summary(baseline, kept, groups, interval),
-        caption="The run in numbers. Its first lines say whether the baseline check passed; edge 1/2: a resolution of "
-        "half the source cell's edge.",
+        caption="Its first lines say whether the baseline check passed; edge 1/2: a resolution of half the source "
+        "cell's edge.",
     )  # fmt: skip
     report_lengths(report, results, groups, interval)
     report_measures(report, groups, interval)
     report_times(report, results, groups, interval)
     report_free_space(report, results)
     report_maps(report, results, kept)
+    report_queries(report, results, kept, optima)
     _report_differences(report, baseline)
     return Outcome(report, _failures(results, baseline, kept, groups))
 
@@ -91,7 +97,7 @@ def _counts(kept: list[NDArray[np.bool_]]) -> tuple[int, int]:
     return total, total - sum(int(k.sum()) for k in kept)
 
 
-def _report_baseline(report: Report, baseline: list[BaselineRow], roots: dict[str, str]) -> None:
+def _report_baseline(report: Report, baseline: list[BaselineRow]) -> None:
     """Say first whether the lengths on the source cells are the published ones."""
     if not baseline:
         report.paragraph("No map has published problems beside it: the lengths of the square grid are not checked.")
@@ -102,10 +108,23 @@ def _report_baseline(report: Report, baseline: list[BaselineRow], roots: dict[st
         f"{equal} of {len(baseline)} problems have the published length to the last published digit on the square or "
         f"cubic grid of the map itself (all neighbours, no corner cutting); {different} "
         + ("differ and are listed below." if different else "differ.")
-        + " Steps are counted in whole numbers; a length is their sum with the roots its publisher used ("
-        + "; ".join(f"{name}: {which}" for name, which in roots.items())
-        + ")."
     )
+
+
+def _baseline_verdict(baseline: list[BaselineRow], roots: dict[str, str]) -> list[Verdict]:
+    """Return the verdict on the published lengths; none where there are none."""
+    if not baseline:
+        return []
+    equal = sum(row.equal for row in baseline)
+    return [
+        Verdict(
+            "The published lengths come out to the last digit", "baseline",
+            "holds" if equal == len(baseline) else "holds in part" if equal else "does not hold",
+            "all published digits are the same, on the grid of the map itself, with all neighbours and no corner "
+            "cutting; steps are counted in whole numbers, and a length is their sum with the roots its publisher used",
+            f"{equal} of {len(baseline)}; roots: " + "; ".join(f"{name}: {which}" for name, which in roots.items()),
+        )
+    ]  # fmt: skip
 
 
 def _report_queries(report: Report, results: Results, kept: list[NDArray[np.bool_]]) -> None:
@@ -139,7 +158,7 @@ def _summary(
     rows += [{"quantity": "queries", "value": total}, {"quantity": "queries dropped", "value": dropped}]
     for group in groups:
         if group.fraction > 1 and group.planner in ("astar", "any_angle"):
-            about = f"length over the {optimum_word(group.dim)}: {group.label}, edge 1/{group.fraction}"
+            about = f"length over the {optimum_word(group.dim)}: {group.label}, {share_word(group.fraction)}"
             rows.append({"quantity": about, "value": interval(group.values["ratio"])})
     return rows
 

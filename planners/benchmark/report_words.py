@@ -9,7 +9,7 @@ from hexmap.base.arrays import FloatArray
 from hexmap.experiments.statistics import Interval
 from planners.benchmark.result_group import ResultGroup
 
-__all__ = ["IntervalOf", "compared_sizes", "length_groups", "optimum_word", "size_word"]
+__all__ = ["IntervalOf", "compared_sizes", "length_groups", "optimum_word", "share_word", "size_word"]
 
 IntervalOf: TypeAlias = Callable[[FloatArray], Interval]  # the mean of values (Q,) with its confidence interval
 
@@ -17,6 +17,11 @@ IntervalOf: TypeAlias = Callable[[FloatArray], Interval]  # the mean of values (
 def optimum_word(dim: int) -> str:
     """Return what lengths are compared with."""
     return "any-angle optimum" if dim == 2 else "best path found"
+
+
+def share_word(fraction: int) -> str:
+    """Return a cell size as a share of the source cell's edge; with a word, as a spreadsheet takes 1/2 for a date."""
+    return f"edge 1/{fraction}"
 
 
 def size_word(dim: int, fraction: int) -> str:

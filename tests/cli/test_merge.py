@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -57,6 +58,25 @@ def test_maps_of_different_logs_are_in_different_frames(folder: Path, capsys: py
     # Once declared the same, a map in either frame goes with it.
     assert frames_of(merged.sources()).keys() == frames_of(a.sources()).keys() | frames_of(b.sources()).keys()
     assert call("merge", out, two, "--again", "-o", folder / "more.parquet") == 0
+
+
+def test_info_says_once_what_all_logs_of_a_map_have_in_common(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    both, mixed = folder / "both.parquet", folder / "mixed.parquet"
+    assert call("merge", folder / "one.parquet", folder / "two.parquet", "--same-frame", "-o", both) == 0
+    capsys.readouterr()
+    assert call("info", both) == 0
+    text = capsys.readouterr().out
+    assert text.count("from one.clf") == text.count("from two.clf") == 1
+    assert text.count("versions") == text.count("configuration") == text.count('"search_metres"') == 1
+    assert "configuration (for --config):" in text
+    other = load_map(folder / "two.parquet")
+    changed = [json.dumps({**s, "settings": {**s["settings"], "min_range": 0.5}}) for s in other.sources()]
+    save_map(folder / "odd.parquet", Map(other.levels, other.frame, changed))
+    assert call("merge", folder / "one.parquet", folder / "odd.parquet", "--same-frame", "-o", mixed) == 0
+    capsys.readouterr()
+    assert call("info", mixed) == 0
+    text = capsys.readouterr().out
+    assert "configuration of one.clf:" in text and "configuration of two.clf:" in text and "--config" not in text
 
 
 def test_a_transform_says_where_a_map_lies(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import math
 import re
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hexmap.base.errors import FileAccessError, FormatError, LatticeError
+from hexmap.base.errors import ArgumentError, FileAccessError, FormatError, LatticeError
 from hexmap.cli import console, main
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan import map_source as _plan_ground
@@ -23,7 +24,7 @@ from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 from planners import astar
-from planners.path_files import read_path, write_path
+from planners.path_files import path_headings, read_path, write_path
 from tests.cli.test_cli import failure
 from tests.lattices import CASES, JIT, Case
 
@@ -125,7 +126,7 @@ def test_maps_of_others(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     for lattice in ("Z3", "D3", "D3*"):
         arguments = ("plan", folder / "rooms.3dmap.gz", "--from", 1, 3, 1, "--to", 7, 3, 1, "--lattice", lattice)
         assert call(*arguments, "--resolution", 0.5, "-o", csv, "--picture", tmp_path / "space.png") == 0
-        assert csv.read_text().startswith("x,y,z,a,b,c,length\n")
+        assert csv.read_text().startswith("x,y,z,a,b,c,length,heading,pitch\n")
         assert read_path(csv).points[:, 2].max() > 3.49
     assert (tmp_path / "space.png").stat().st_size > 5_000
 
@@ -503,18 +504,81 @@ def test_a_path_file_keeps_every_digit(case: Case, tmp_path: Path) -> None:
     assert np.array_equal(table.points, path.points) and np.array_equal(table.cells, path.cells)
     assert table.length[-1] == pytest.approx(path.length, rel=1e-12)
     assert len((tmp_path / "p.csv").read_text().splitlines()) == len(path) + 1
+    angles = path_headings(path.points)
+    legs = np.diff(path.points, axis=0)
+    for k, leg in enumerate(legs):
+        assert table.heading[k] == angles[k, 0]
+        if np.hypot(leg[0], leg[1]) > 1e-6:
+            assert table.heading[k] == pytest.approx(math.atan2(leg[1], leg[0]), abs=1e-12)
+        if case.lattice.dim == 3:
+            assert table.pitch is not None
+            assert table.pitch[k] == pytest.approx(math.asin(leg[2] / np.linalg.norm(leg)), abs=1e-9)
+    assert table.heading[-1] == table.heading[-2]  # it arrives as it came
+
+
+def test_the_command_writes_what_the_ending_says(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for ending in ("csv", "json", "geojson"):
+        assert call("plan", folder / "rooms.parquet", *PAST, "-o", tmp_path / f"p.{ending}") == 0
+    said = capsys.readouterr().out
+    whole = json.loads((tmp_path / "p.json").read_text())
+    assert [p["x"] for p in whole["points"]] == read_path(tmp_path / "p.csv").points[:, 0].tolist()
+    assert f"least clearance {whole['clearance']:.2f} m" in said and f"length {whole['length']:.3f} m" in said
+    feature = json.loads((tmp_path / "p.geojson").read_text())
+    assert feature["geometry"]["coordinates"][0] == [-1.5, -0.5] and feature["properties"]["clearance"] > 0.0
+    assert "written as .csv, .json, .geojson" in wrong_usage(
+        capsys, "plan", folder / "rooms.parquet", *PAST, "-o", tmp_path / "p.kml"
+    )
+
+
+def test_headings_of_legs_that_have_none() -> None:
+    up = np.array([[0.0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 1], [1, 1, 0]])
+    heading, pitch = path_headings(up).T
+    assert heading.tolist() == pytest.approx([math.pi / 4] * 5)  # climbing turns no robot
+    assert pitch.tolist() == pytest.approx([math.pi / 2, 0.0, 0.0, -math.pi / 2, -math.pi / 2])
+    assert np.isnan(path_headings(np.zeros((3, 2)))).all()
+    west = path_headings(np.array([[0.0, 0.0], [-1.0, -0.0]]))
+    assert west.tolist() == [[math.pi], [math.pi]]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_path_as_json_and_geojson(dim: int, tmp_path: Path) -> None:
+    lattice = Lattice.named({2: "A2", 3: "D3"}[dim], 0.5)
+    graph = LatticeGraph.from_states(lattice, [-3] * dim, np.ones((7,) * dim, np.uint8))
+    path = astar(graph, [-3] * dim, [3] * dim)
+    for ending in ("json", "geojson", "csv"):
+        write_path(tmp_path / f"p.{ending}", path)
+    table = read_path(tmp_path / "p.csv")
+    whole = json.loads((tmp_path / "p.json").read_text())
+    assert whole["length"] == path.length and whole["goal_reached"] is True and whole["angles"] == "radians"
+    assert [[p[axis] for axis in "xyz"[:dim]] for p in whole["points"]] == path.points.tolist()
+    assert [p["heading"] for p in whole["points"]] == table.heading.tolist()
+    assert [p["cell"] for p in whole["points"]] == path.cells.tolist()
+    feature = json.loads((tmp_path / "p.geojson").read_text())
+    assert feature["type"] == "Feature" and feature["geometry"]["type"] == "LineString"
+    assert feature["geometry"]["coordinates"] == path.points.tolist()
+    assert "not WGS84" in feature["coordinates_are"]  # a foreign member, at the feature itself
+    assert feature["properties"]["heading"] == table.heading.tolist()
+    assert ("pitch" in feature["properties"]) == (dim == 3)
+    write_path(tmp_path / "one.geojson", astar(graph, [0] * dim, [0] * dim))
+    one = json.loads((tmp_path / "one.geojson").read_text())
+    assert one["geometry"] == {"type": "Point", "coordinates": [0.0] * dim}  # a line takes two
+    assert one["properties"]["heading"] == [None]
+    with pytest.raises(ArgumentError, match=r"written as \.csv, \.json, \.geojson, not as \.xml"):
+        write_path(tmp_path / "p.xml", path)
 
 
 def test_what_is_no_path_file(tmp_path: Path) -> None:
     file = tmp_path / "p.csv"
     with pytest.raises(FileAccessError, match=r"p\.csv"):
         read_path(file)
-    head = "x,y,a,b,length\n"
+    head = "x,y,a,b,length,heading\n"
     for text, word in [
         ("", "line 1"), ("x,y\n1,2\n", "line 1"), (head, "without a point"), (head + "1,2,3\n", "line 2"),
-        (head + "1,2,3,4,5\n1,2,3.5,4,5\n", "line 3"), (head + "nan,2,3,4,5\n", "line 2"),
-        (head + "1,2,3,4,5,6\n", "line 2"),
-        (head + "1,2,3,99999999999,5\n", "line 2"),
+        (head + "1,2,3,4,5,0\n1,2,3.5,4,5,0\n", "line 3"), (head + "nan,2,3,4,5,0\n", "line 2"),
+        (head + "1,2,3,4,5,6,7\n", "line 2"), (head + "1,2,3,4,5,inf\n", "line 2"),
+        (head + "1,2,3,99999999999,5,0\n", "line 2"), ("x,y,a,b,length\n1,2,3,4,5\n", "length,heading"),
     ]:  # fmt: skip
         file.write_text(text)
         with pytest.raises(FormatError, match=word):

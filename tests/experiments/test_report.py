@@ -15,7 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from hexmap.base.errors import ArgumentError, FileAccessError
-from hexmap.experiments.report.elements import Verdict
+from hexmap.experiments.report.elements import Compared, Verdict
 from hexmap.experiments.report.figures import figure_style
 from hexmap.experiments.report.numbers import format_interval, format_number
 from hexmap.experiments.report.report import Report
@@ -363,3 +363,40 @@ def test_the_users_own_style_does_not_leak_in(tmp_path: Path, folder: Path) -> N
         assert matplotlib.rcParams["savefig.facecolor"] == "red"
     assert (tmp_path / "counts.png").read_bytes() == (folder / "counts.png").read_bytes()
     assert (tmp_path / "report.html").read_bytes() == (folder / "report.html").read_bytes()
+
+
+def test_a_matrix_tells_who_wins_with_colours_and_without(tmp_path: Path) -> None:
+    report = Report("Matrix")
+    cells: dict[str, dict[str, Compared | None]] = {
+        "A2 against <Z2>": {"length": Compared("win", "0.95"), "time": Compared("tie", "1.00")},
+        "D3 | Z3": {"length": Compared("lose", "1.20"), "time": None},
+    }
+    report.matrix("outcomes", cells, "first against second", "Less is better.")
+    report.write(tmp_path)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.cells == [
+        "first against second", "length", "time", "A2 against <Z2>", "▲ 0.95", "= 1.00", "D3 | Z3", "▼ 1.20", "",
+    ]  # fmt: skip
+    classes = [attributes.get("class") for tag, attributes in page.tags if tag == "td"]
+    assert classes == ["win", "tie", "lose", None]
+    assert all(f".{name} {{" in text for name in ("win", "tie", "lose"))  # with a colour each
+    assert "1 won, 1 even, 1 lost. Less is better." in text
+    markdown = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "▲ win 0.95" in markdown and "▼ lose 1.20" in markdown
+    with open(tmp_path / "outcomes.csv", newline="", encoding="utf-8") as file:
+        assert list(csv.reader(file))[1:] == [["A2 against <Z2>", "win", "even"], ["D3 | Z3", "lose", ""]]
+    with pytest.raises(ArgumentError, match="a standing is one of"):
+        Compared("draw")  # type: ignore[arg-type]
+
+
+def test_a_table_that_only_its_file_holds(tmp_path: Path) -> None:
+    report = Report("Long")
+    report.table("rows", [{"k": k, "date": "1/2"} for k in range(3000)], shown=0, caption="All of it.")
+    report.write(tmp_path)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert Page(text).cells == [] and "All of it. 3,000 rows, in the file alone." in text and "rows.csv" in text
+    markdown = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "3,000 rows" in markdown and "rows.csv" in markdown and "|" not in markdown
+    lines = (tmp_path / "rows.csv").read_text().splitlines()
+    assert len(lines) == 3001 and lines[1] == "0,'1/2"  # which a spreadsheet takes for a date without the quote

@@ -137,7 +137,7 @@ def test_the_command_line_continues_a_map_and_maps_several_logs(
     assert not (tmp_path / "x.parquet").exists()
 
 
-def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "room.clf"
     write_log(log, make_building("room"), laser=LASER, seed=1)
 
@@ -152,13 +152,23 @@ def test_a_killed_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
         with pytest.raises(Killed):
             poses_of(phase=killed_at(scans), checkpoints=kept)
         begun = kept.find(open_log(log), MappingSettings(), LoopSettings())
-        assert begun is not None and begun.readings > 0
+        assert begun is not None and begun.readings > 0 and kept.readings() == begun.readings
         resumed = poses_of(checkpoints=kept)
         assert all(
             np.array_equal(a.translation, b.translation) and np.array_equal(a.rotation, b.rotation)
             for a, b in zip(whole, resumed, strict=True)
         )
         kept.forget()
+        assert kept.readings() is None
+    # The command line says that it goes on, and after how much.
+    kept = Checkpoints(tmp_path / "kept" / "0", every=0.0)
+    with pytest.raises(Killed):
+        poses_of(phase=killed_at(5), checkpoints=kept)
+    begun_after = kept.readings()
+    capsys.readouterr()
+    assert main(["build", str(log), "-o", str(tmp_path / "m.parquet"), "--checkpoint", str(tmp_path / "kept")]) == 0
+    assert f"goes on after {begun_after} readings" in capsys.readouterr().out
+    assert not (tmp_path / "kept").exists()
 
 
 def test_a_checkpoint_of_something_else_is_refused(office: tuple[Path, Path, list[Pose]], tmp_path: Path) -> None:

@@ -72,6 +72,16 @@ def test_a_simulated_room_is_steadier_on_every_other_lattice(tmp_path: Path) -> 
         assert float(table[name]["count sigma/mu_low"]) <= float(table[name]["count sigma/mu"])
     verdicts = rows(tmp_path, "verdicts")
     assert len(verdicts) >= 5 and "densest" in (tmp_path / "verdicts.csv").read_text()
+    text = (tmp_path / "report.md").read_text()
+    headings = [line for line in text.splitlines() if line.startswith("## ")]
+    assert headings[:2] == ["## Verdicts on the paper's claims", "## Win, even, lose"]
+    assert "cells of 8 litres" in text and "80,000 points" in text  # what is compared with the paper's column
+    outcomes, ratios = rows(tmp_path, "outcomes"), rows(tmp_path, "ratios_axis")
+    for name in ("D3", "D3*"):
+        # The other way round: a lattice wins where the cubic one varies more.
+        assert (outcomes[f"{name} against Z3"]["cells vary, turns"] == "win") == (
+            float(ratios[f"Z3 over {name}"]["count sigma/mu_low"]) > 1.0
+        )
 
 
 def test_the_plane_and_a_lattice_of_ones_own(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -197,6 +198,56 @@ def test_the_report_begins_with_the_baseline_check(tmp_path: Path) -> None:
     assert rows[2][:2] == ["problems different from it", "0"]
     for grid in SMALL.planar:
         assert any(f" {grid.label}, edge 1/2" in row[0] for row in rows)
+    # Then who wins what, before any other number.
+    headings = [line for line in text.splitlines() if line.startswith("## ")]
+    assert headings[:2] == ["## Verdicts", "## Win, even, lose"]
+    with (tmp_path / "report" / "verdicts.csv").open() as file:
+        verdicts = list(csv.DictReader(file))
+    assert verdicts[0]["outcome"] == "holds" and verdicts[0]["evidence"].startswith("12 of 12")
+    assert [row["claim"] for row in verdicts[1:]] == [
+        "A2-6 plans shorter paths than Z2-4", "A2-6 plans shorter paths than Z2-8",
+    ]  # fmt: skip
+    with (tmp_path / "report" / "outcomes_2d.csv").open() as file:
+        matrix = list(csv.DictReader(file))
+    assert matrix[0]["first against second"] == "A2-6 against Z2-4" and matrix[0]["length, edge 1/2"] == "win"
+    assert {v for row in matrix for k, v in row.items() if k != "first against second"} <= {"win", "even", "lose"}
+
+
+def test_every_answer_is_in_one_file_and_no_cell_is_a_date(tmp_path: Path) -> None:
+    path = write_map(tmp_path, "random.map", random_map(3, (24, 20)))
+    results = run_benchmark([path], SMALL)
+    written = planning_benchmark([path], SMALL).report.write(tmp_path / "report")
+    assert tmp_path / "report" / "queries.csv" in written
+    with (tmp_path / "report" / "queries.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with (tmp_path / "report" / "times" / "queries_times.csv").open() as file:
+        times = list(csv.DictReader(file))
+    assert len(rows) == len(times) == sum(len(a) for run in results.runs for a in run.answers.values())
+    assert all(time[key] == row[key] for row, time in zip(rows, times, strict=True) for key in ("problem", "planner"))
+    at = 0
+    for run in results.runs:
+        for planner, answers in run.answers.items():
+            for answer in answers:
+                row = rows[at]
+                assert (row["planner"], float(row["cell"]), float(row["degrees"])) == (
+                    planner, 1.0 / run.fraction, run.degrees,
+                )  # fmt: skip
+                assert row["found"] == ("false" if answer is None else "true")
+                assert row["length"] == ("" if answer is None else repr(answer.length))
+                at += 1
+    # The mean of the report comes out of the file.
+    mine = [r for r in rows if r["compared"] == "true" and (r["grid"], r["planner"]) == ("A2-6", "astar")]
+    ratios = [float(r["length"]) / float(r["reference_length"]) for r in mine]
+    with (tmp_path / "report" / "length_2d_2.csv").open() as file:
+        mean = next(float(row["mean"]) for row in csv.DictReader(file) if row["grid"] == "A2-6")
+    assert np.mean(ratios) == pytest.approx(mean, rel=1e-12)
+    # But for times all of it is the same in another run.
+    for file in planning_benchmark([path], SMALL).report.write(tmp_path / "again"):
+        if file.parent.name != "times":
+            assert file.read_bytes() == (tmp_path / "report" / file.name).read_bytes(), file.name
+    for file in (tmp_path / "report").rglob("*.csv"):
+        for row in csv.reader(file.open()):
+            assert not any(re.fullmatch(r"\d{1,4}[/-]\d{1,2}([/-]\d{1,4})?", cell) for cell in row), file
 
 
 def test_a_failed_baseline_check_fails_the_run_and_is_listed(tmp_path: Path) -> None:
@@ -271,6 +322,8 @@ def test_the_command(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     assert (tmp_path / "r" / "report.html").is_file()
     assert str(tmp_path / "r" / "summary.csv") in run.output
+    assert "earlier run" not in run.output
+    assert f"{tmp_path / 'r' / 'queries.csv'}  (the answer of every planner to every query)" in run.output
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,7 +55,10 @@ def plan(
         ),
     ],
     goal: Annotated[Any, typer.Option("--to", help="Where to go, m.", **_POSITION)],
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Where to write the path (.csv).")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Where to write the path, headings in radians (.csv, .json, .geojson)."),
+    ] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw it (.png, .svg, .pdf).")] = None,
     whole: Annotated[bool, typer.Option("--whole", help="Draw the whole map, not just around the path.")] = False,
     radius: Annotated[
@@ -110,7 +114,6 @@ def plan(
 
     The path begins in --from and ends in --to; between them it leads from cell centre to cell centre.
     """
-    from hexmap.base.errors import ArgumentError
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map
 
@@ -124,8 +127,10 @@ def plan(
         raise typer.BadParameter("--whole needs a --picture")
     check_numbers(query, {"--resolution": resolution, "--cell": cell}, min_hits, min_ratio)
     check_outputs({"--output": output, "--picture": picture}, inputs_of(map))
-    if output is not None and output.suffix.lower() != ".csv":
-        raise ArgumentError(f"{output}: a path is written as .csv, not {output.suffix or 'a file without a suffix'}")
+    if output is not None:
+        from planners.path_files import check_path_file
+
+        check_path_file(output)
     if picture is not None:
         from hexmap.drawing.map_drawing import check_picture
 
@@ -165,9 +170,11 @@ def plan(
     )
     _report(path, planning_map, query)
     if output is not None:
+        from hexmap.graph.queries import least_clearance
         from planners.path_files import write_path
 
-        write_path(output, path)
+        room = least_clearance(planning_map.graph, path.cells, path.points)
+        write_path(output, replace(path, clearance=room))
         wrote(output, f"{counted(len(path), 'point')}, metres")
     if picture is not None:
         _draw(path, graph, planning_map, query, picture, whole)

@@ -7,7 +7,8 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from hexmap.experiments.report.elements import Table, Verdicts, clean
+from hexmap.base.text import spreadsheet_text
+from hexmap.experiments.report.elements import STANDINGS, Matrix, Table, Verdicts, clean
 from hexmap.experiments.report.numbers import is_number, scalar
 from hexmap.experiments.statistics import Interval
 
@@ -30,13 +31,7 @@ def _csv_cell(cell: Any) -> str:
 
 
 def _text(value: Any) -> str:
-    """Return text of a cell: what a spreadsheet would run as a formula, such as a file's name may be, gets a quote.
-
-    After a sign only a call or a link does anything: "- no list" stays as it is.
-    """
-    text = clean(value)
-    runs = text.startswith(("=", "@", "\t", "\r")) or (text.startswith(("+", "-")) and any(c in text for c in "(|!"))
-    return "'" + text if runs else text
+    return spreadsheet_text(clean(value))
 
 
 def csv_table(table: Table) -> bytes:
@@ -64,3 +59,12 @@ def csv_verdicts(verdicts: Verdicts) -> bytes:
     """Return verdicts as a file."""
     rows = [(row.section, row.claim, row.outcome, row.evidence, row.rule) for row in verdicts.rows]
     return _csv(("section", "claim", "outcome", "evidence", "rule"), rows)
+
+
+def csv_matrix(matrix: Matrix) -> bytes:
+    """Return a matrix as a file of words: win, even, lose."""
+    rows = [
+        [row, *("" if cell is None else STANDINGS[cell.standing] for cell in line)]
+        for row, line in zip(matrix.rows, matrix.cells, strict=True)
+    ]
+    return _csv([matrix.corner, *matrix.columns], rows)

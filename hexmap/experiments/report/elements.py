@@ -1,4 +1,4 @@
-"""The elements of a report: headings, paragraphs, tables, figures and verdicts, and the text that they hold.
+"""The elements of a report: headings, paragraphs, tables, figures, verdicts and matrices, and the text that they hold.
 
 An element holds what every format shows of it, as clean plain text; each format escapes what it must.
 """
@@ -20,6 +20,32 @@ from hexmap.base.version import __version__
 Outcome = Literal["holds", "holds in part", "does not hold"]
 
 MARKS: dict[str, str] = {"holds": "✓", "holds in part": "◐", "does not hold": "✗"}
+
+Standing = Literal["win", "tie", "lose"]
+
+# In words, and as what is told apart without colours.
+STANDINGS: dict[str, str] = {"win": "win", "tie": "even", "lose": "lose"}
+STANDING_MARKS: dict[str, str] = {"win": "▲", "tie": "=", "lose": "▼"}
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """What became of one comparison.
+
+    Attributes:
+        standing: of the contestant that the row is about.
+        text: the number that decided, such as ``"0.96"``.
+
+    Raises:
+        ArgumentError: a standing of another name.
+    """
+
+    standing: Standing
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        if self.standing not in get_args(Standing):
+            raise ArgumentError(f"a standing is one of {', '.join(get_args(Standing))}, not {self.standing!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +113,8 @@ class Table:
         """Return the caption, and what the table leaves out."""
         hidden = len(self.rows) - self.shown
         words = f"The first {self.shown:,} of {len(self.rows):,} rows." if hidden > 0 else ""
+        if self.shown == 0:
+            words = f"{len(self.rows):,} rows, in the file alone."
         return " ".join(text for text in (self.caption, words) if text)
 
 
@@ -122,7 +150,28 @@ class Verdicts:
         return ", ".join(f"{count} {outcome if count == 1 else words[outcome]}" for outcome, count in counts if count)
 
 
-Element = Heading | Paragraph | Table | Figure | Verdicts
+@dataclass(frozen=True)
+class Matrix:
+    """Who wins, is even and loses: a row a contestant, a column a measure."""
+
+    kind: ClassVar[str] = "matrix"
+    name: str
+    number: int  # of tables, verdicts and matrices together
+    corner: str
+    rows: list[str]
+    columns: list[str]
+    cells: list[list[Compared | None]]
+    caption: str
+
+    @property
+    def summary(self) -> str:
+        """Return how many of which standing, and what it is about."""
+        found = [cell.standing for line in self.cells for cell in line if cell is not None]
+        counts = {name: found.count(name) for name in get_args(Standing)}
+        return f"{counts['win']} won, {counts['tie']} even, {counts['lose']} lost. {self.caption}"
+
+
+Element = Heading | Paragraph | Table | Figure | Verdicts | Matrix
 
 
 # ---------------------------------------------------------------------- text

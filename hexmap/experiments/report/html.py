@@ -11,7 +11,16 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import NamedTuple
 
-from hexmap.experiments.report.elements import MARKS, Element, Figure, Heading, Table, versions
+from hexmap.experiments.report.elements import (
+    MARKS,
+    STANDING_MARKS,
+    STANDINGS,
+    Element,
+    Figure,
+    Heading,
+    Table,
+    versions,
+)
 from hexmap.experiments.statistics import Interval
 
 _SVG_BYTES = 1_500_000  # a larger drawing goes into the page as an image
@@ -35,6 +44,8 @@ def html(title: str, command: str, settings: Mapping[str, str], elements: Sequen
         elements=elements,
         sections=[element for element in elements if isinstance(element, Heading) and element.level == 2],
         marks=MARKS,
+        standings=STANDINGS,
+        standing_marks=STANDING_MARKS,
         style=Markup((files / "report.css").read_text(encoding="utf-8")),
         versions=versions(),
     )

@@ -5,7 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from hexmap.experiments.report.elements import MARKS, Element, Figure, Heading, Paragraph, Table, versions
+from hexmap.experiments.report.elements import (
+    MARKS,
+    STANDING_MARKS,
+    STANDINGS,
+    Compared,
+    Element,
+    Figure,
+    Heading,
+    Matrix,
+    Paragraph,
+    Table,
+    versions,
+)
 
 
 def _md(text: str) -> str:
@@ -27,6 +39,12 @@ def _md_code(text: str) -> str:
     return f"{fence}\n{text}\n{fence}"
 
 
+def _compared(cell: Compared | None) -> str:
+    if cell is None:
+        return ""
+    return f"{STANDING_MARKS[cell.standing]} {STANDINGS[cell.standing]} {cell.text}".rstrip()
+
+
 def markdown(title: str, command: str, settings: Mapping[str, str], elements: Sequence[Element]) -> str:
     """Return the text of the report."""
     blocks = [f"# {_md(title)}"]
@@ -38,13 +56,17 @@ def markdown(title: str, command: str, settings: Mapping[str, str], elements: Se
         elif isinstance(element, Paragraph):
             blocks.append(_md(element.text))
         elif isinstance(element, Table):
-            if element.columns:
+            if element.columns and element.shown:
                 blocks.append(_md_table(list(element.columns.values()), element.numeric, element.texts))
             source = f"[{_md(element.name)}.csv]({element.name}.csv)"
             blocks.append(f"{_md(element.note)} {source}".strip())
         elif isinstance(element, Figure):
             blocks.append(f"![{_md(element.caption)}]({element.name}.png)")
             blocks.append(f"**Figure {element.number}.** {_md(element.caption)} [PDF]({element.name}.pdf)")
+        elif isinstance(element, Matrix):
+            lines = [[row, *map(_compared, line)] for row, line in zip(element.rows, element.cells, strict=True)]
+            blocks.append(_md_table([element.corner, *element.columns], [False] * (1 + len(element.columns)), lines))
+            blocks.append(f"{_md(element.summary)} [{_md(element.name)}.csv]({element.name}.csv)")
         else:
             rows = [(r.section, r.claim, f"{MARKS[r.outcome]} {r.outcome}", r.evidence, r.rule) for r in element.rows]
             header = ("Section", "Claim", "Verdict", "Evidence", "Rule")

@@ -26,11 +26,13 @@ import numpy as np
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError, FileAccessError
-from hexmap.experiments.report.csv_tables import csv_table, csv_verdicts
+from hexmap.experiments.report.csv_tables import csv_matrix, csv_table, csv_verdicts
 from hexmap.experiments.report.elements import (
+    Compared,
     Element,
     Figure,
     Heading,
+    Matrix,
     Outcome,
     Paragraph,
     Table,
@@ -51,6 +53,7 @@ __all__ = ["COLOURS", "Format", "Outcome", "Report", "Verdict", "figure_style", 
 
 _LIST = "hexmap-report-files"
 _KINDS = (".csv", ".png", ".pdf")
+_NUMBERED = Table | Verdicts | Matrix
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
@@ -120,7 +123,7 @@ class Report:
             formats: key -> a specification (``".3f"``, ``".2%"``) or a function from a value to text. Without
                 one a column gets as many decimals as suit all of it.
             caption: a sentence, without the word "Table".
-            shown: rows in the page; the CSV has them all.
+            shown: rows in the page; the CSV has them all. None of 0: the page only says where they are.
 
         Raises:
             ArgumentError: a name that is no file name or is taken, or a format that is none.
@@ -133,7 +136,7 @@ class Report:
         lines, numeric = _as_shown(kept[:shown], list(headings), formats or {})
         headings = {key: flat(heading) for key, heading in headings.items()}
         note = None if caption is None else flat(caption)
-        number = self._count(Table | Verdicts) + 1
+        number = self._count(_NUMBERED) + 1
         self._elements.append(Table(name, number, headings, kept, lines, numeric, note, shown))
 
     def figure(self, name: str, figure: Drawing, caption: str) -> None:
@@ -161,7 +164,37 @@ class Report:
         kept = [
             Verdict(flat(row.claim), flat(row.section), row.outcome, flat(row.rule), flat(row.evidence)) for row in rows
         ]
-        self._elements.append(Verdicts(name, self._count(Table | Verdicts) + 1, kept))
+        self._elements.append(Verdicts(name, self._count(_NUMBERED) + 1, kept))
+
+    def matrix(
+        self,
+        name: str,
+        cells: Mapping[str, Mapping[str, Compared | None]],
+        corner: str,
+        caption: str,
+    ) -> None:
+        """Add a matrix of who wins, is even and loses, coloured; it also becomes the file ``<name>.csv``.
+
+        Args:
+            name: of the file, with or without ``.csv``.
+            cells: row -> column -> what became of it; columns in the order in which they come, empty where there is
+                nothing to compare.
+            corner: heading above the names of the rows.
+            caption: a sentence, without the word "Table".
+
+        Raises:
+            ArgumentError: a name that is no file name or is taken.
+        """
+        name = self._take(name.removesuffix(".csv"), "csv")
+        columns = list(dict.fromkeys(column for line in cells.values() for column in line))
+        kept = [[line.get(column) for column in columns] for line in cells.values()]
+        flattened = [[None if c is None else Compared(c.standing, flat(c.text)) for c in line] for line in kept]
+        self._elements.append(
+            Matrix(
+                name, self._count(_NUMBERED) + 1, flat(corner), [flat(row) for row in cells],
+                [flat(column) for column in columns], flattened, flat(caption),
+            )
+        )  # fmt: skip
 
     def write(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the report into a folder, which is made if it does not exist.
@@ -252,6 +285,8 @@ def _files(elements: Sequence[Element]) -> dict[str, bytes]:
             files[f"{element.name}.csv"] = csv_table(element)
         elif isinstance(element, Verdicts):
             files[f"{element.name}.csv"] = csv_verdicts(element)
+        elif isinstance(element, Matrix):
+            files[f"{element.name}.csv"] = csv_matrix(element)
         elif isinstance(element, Figure):
             files |= {f"{element.name}.{kind}": element.files[kind] for kind in ("png", "pdf")}
     return files

@@ -16,6 +16,7 @@ __all__ = ["BadLine", "TextLog", "floats", "not_a_number", "numbers", "tag_of"]
 
 # Far above any laser's line; a file without line ends must not fill the memory.
 _LONGEST_LINE = 1 << 23
+_PIECES, _LEAST_PIECE = 256, 1 << 12  # in which a file is read, where these are no larger than a chunk
 
 
 class BadLine(Exception):
@@ -98,8 +99,10 @@ class TextLog(Log):
 
     def _chunks(self) -> Iterator[bytes]:
         """Yield the bytes of the file."""
+        # Of a small file small pieces: whoever watches sees it move.
+        piece = min(CHUNK, max(_LEAST_PIECE, self.size // _PIECES))
         with open(self.path, "rb") as handle:
-            while chunk := handle.read(CHUNK):
+            while chunk := handle.read(piece):
                 self.position += len(chunk)
                 yield chunk
 
