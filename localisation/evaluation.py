@@ -16,6 +16,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError, TrajectoryError
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from hexmap.poses.trajectory import Relations, Trajectory
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.atomic_files import atomic_path
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.drawing.map_drawing import check_picture
 
 __all__ = ["Track", "draw_tracks"]
@@ -47,6 +48,8 @@ class Track:
     stamps: NDArray[np.float64]
     positions: NDArray[np.float64]
     errors: NDArray[np.float64]
+
+    __repr__ = one_line
 
 
 def draw_tracks(
