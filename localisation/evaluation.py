@@ -107,6 +107,8 @@ class AbsoluteError:
     skipped: int
     T_reference_estimate: Pose
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
