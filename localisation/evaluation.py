@@ -107,8 +107,6 @@ class AbsoluteError:
     skipped: int
     T_reference_estimate: Pose
 
-    __repr__ = one_line
-
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
@@ -133,6 +131,8 @@ class PoseErrors:
     rotation_deg: FloatArray
     skipped: int
     T_reference_estimate: Pose
+
+    __repr__ = one_line
 
     def summary(self) -> AbsoluteError:
         """Return the statistics of all poses."""
