@@ -125,20 +125,22 @@ def _same(a: Path, b: Path) -> bool:
         return False
 
 
-def first_run_note() -> None:
-    """Say, on a terminal, that the kernels are being compiled, where no compiled one is found."""
-    if not sys.stderr.isatty():
-        return
+def first_run_note(seconds: int = 20) -> None:
+    """Say on standard error that kernels are being compiled, where no compiled one is found, and how long that takes."""
     from hexmap.lattice import _kernels as _lattice_kernels
 
-    if not _is_compiled(_lattice_kernels.quantise_2d):
-        typer.echo("compiling the kernels; this happens once and takes some 20 seconds", err=True)
+    if not any(_is_compiled(kernel) for kernel in (_lattice_kernels.quantise_2d, _lattice_kernels.quantise_3d)):
+        _say_compiling("kernels", seconds)
 
 
-def compiling_note(*kernels: Any) -> None:
-    """Say, on a terminal, that a planner is being compiled, where one of its kernels is found nowhere."""
-    if sys.stderr.isatty() and not all(_is_compiled(kernel) for kernel in kernels):
-        typer.echo("compiling the planner; this happens once", err=True)
+def compiling_note(*kernels: Any, seconds: int = 5) -> None:
+    """Say on standard error that a planner is being compiled, where one of its kernels is found nowhere."""
+    if not all(_is_compiled(kernel) for kernel in kernels):
+        _say_compiling("the planner", seconds)
+
+
+def _say_compiling(what: str, seconds: int) -> None:
+    typer.echo(f"compiling {what}, once, some {seconds} s", err=True)
 
 
 def _is_compiled(kernel: Any) -> bool:

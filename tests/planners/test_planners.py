@@ -416,6 +416,24 @@ def test_shortcuts_are_free_and_never_longer(case: Case, neighbourhood: str) -> 
             assert graph.free[graph.index_to_flat(inner)].all()
 
 
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_shortcuts_across_terrain_cost_no_more_than_the_moves(case: Case) -> None:
+    side = 14 if case.dim == 2 else 8
+    shape = (side,) * case.dim
+    # Dear on one side, cheap on the other, as near walls that are to be kept off.
+    slope = 1.0 + 3.0 * np.indices(shape)[0] / side
+    graph = LatticeGraph.from_states(case.lattice, [0] * case.dim, np.ones(shape, np.uint8)).with_terrain(slope)
+    path = astar(graph, [side - 1] * case.dim, [side // 2, *[0] * (case.dim - 1)])
+    short = shortcut(graph, path, across_terrain=True)
+    assert len(short) < len(path) and short.cost <= path.cost * (1 + 1e-12)
+    fine = np.linspace(0.0, 1.0, 20_001)[:, None]
+    cost = 0.0
+    for a, b in itertools.pairwise(short.points):
+        flat = graph.index_to_flat(case.lattice.quantise(a + fine * (b - a)))
+        cost += float(graph.terrain[flat].mean() * np.linalg.norm(b - a))  # type: ignore[index]
+    assert short.cost == pytest.approx(cost, rel=0.02)
+
+
 def test_shortcuts_do_not_cut_corners() -> None:
     states = np.ones((6, 6), np.uint8)
     graph = LatticeGraph.from_states(Lattice.named("Z2"), [0, 0], states, neighbourhood=4)

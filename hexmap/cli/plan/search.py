@@ -36,7 +36,8 @@ def find_path(planning_map: PlanningMap, graph: LatticeGraph, query: Query) -> P
         return run(graph, *cells)
     except NoPath as error:
         text, helps = _why(error, planning_map, graph, query, cells)
-        if query.nearest or query.planner is not Planner.astar or error.reason.startswith("start"):
+        other = query.planner is not Planner.astar and not query.is_default
+        if query.nearest or other or error.reason.startswith("start"):
             helps.remove("--nearest")
         advice = f"; {' or '.join(helps)} may help" if helps else ""
         raise NoPath(error.reason, text + advice) from error
@@ -86,6 +87,7 @@ def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
         Planner.any_angle: _theta_kernels.search,
         Planner.canonical: _canonical_kernels.search,
     }
+    assert query.planner is not None
     return [own[query.planner], *([_anyangle_kernels.farthest] if query.shortcut else [])]
 
 
