@@ -30,7 +30,8 @@ from hexmap.drawing.figure_layout import (
     FigureLayout,
     draw_path_captions,
 )
-from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, draw_pixels, save_figure
+from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, save_figure
+from hexmap.drawing.pixels import draw_pixels
 from hexmap.lattice.window import IndexBox, box_coordinates
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.outlines import ClassTable

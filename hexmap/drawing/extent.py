@@ -1,0 +1,33 @@
+"""What a picture is made for: the bulk of the cells, without the strays far from it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["bulk"]
+
+# Beams through windows, off mirrors and along glass leave lone cells and rays far outside. On each side this fraction
+# of the cells may stray: an outer wall holds more of the occupied cells, a room more of the free ones.
+_OCCUPIED, _FREE = 0.005, 0.02
+_NEAR = 0.08  # of the width of the bulk: what is no farther off is no stray
+
+
+def bulk(occupied: NDArray[np.float64], *free: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the corners (2, 2), metres, of the boxes around the bulk of the occupied and of the free cells.
+
+    The box of the occupied cells reaches to the last cell that is near their bulk; free cells add what most of them
+    fill. Kinds without a cell are left out.
+
+    Args:
+        occupied: (N, n) centres, metres, of which x and y count.
+        free: (M, n) the same, if there are any.
+    """
+    boxes = []
+    for centres, stray, near in ((occupied, _OCCUPIED, _NEAR), *((c, _FREE, 0.0) for c in free)):
+        if len(centres):
+            flat = centres[:, :2]
+            low, high = np.quantile(flat, (stray, 1.0 - stray), axis=0)
+            room = near * (high - low)
+            boxes.append(np.stack([np.maximum(flat.min(axis=0), low - room), np.minimum(flat.max(axis=0), high + room)]))
+    return boxes
