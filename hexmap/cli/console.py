@@ -126,7 +126,7 @@ def _same(a: Path, b: Path) -> bool:
 
 
 def first_run_note(seconds: int = 20) -> None:
-    """Say on standard error that kernels are being compiled, where no compiled one is found, and how long that takes."""
+    """Say on standard error that kernels are being compiled, where none is found compiled, and how long that takes."""
     from hexmap.lattice import _kernels as _lattice_kernels
 
     if not any(_is_compiled(kernel) for kernel in (_lattice_kernels.quantise_2d, _lattice_kernels.quantise_3d)):

@@ -59,7 +59,7 @@ def show(
         typer.Option("--output", "-o", help="Picture (.png, .svg, .pdf); in space the mesh: .ply, .glb."),
     ] = None,
     level: LevelOption = 0,
-    whole: Annotated[bool, typer.Option("--whole", help="Show stray cells, too, that lie far from all others.")] = False,
+    whole: Annotated[bool, typer.Option("--whole", help="Show strays, too, far from all other cells.")] = False,
     trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
@@ -213,12 +213,12 @@ def _show_slice(
     scene: _Scene, height: float, output: Path | None, poses: Trajectory | None, viewer: bool, whole: bool
 ) -> None:
     """Draw a horizontal slice of a map in space."""
+    from hexmap.drawing.extent import FIT
     from hexmap.drawing.slice_drawing import draw_slice
 
     if viewer or output is None:
         raise typer.BadParameter("a slice is a picture: --slice goes with --output and without --viewer")
-    fit = {"fit": 1.0} if whole else {}
-    draw_slice(scene.states, height, output, trajectory=poses, offset=scene.offset, **fit)
+    draw_slice(scene.states, height, output, trajectory=poses, offset=scene.offset, fit=1.0 if whole else FIT)
     wrote(output, f"{scene.words}, slice at z = {height:g} m")
 
 
@@ -234,6 +234,7 @@ def _show_solids(
     """Draw the occupied cells of a map in space, save them as a mesh, or open a window."""
     import numpy as np
 
+    from hexmap.drawing.extent import FIT
     from hexmap.drawing.solids.draw_solids import Cut, draw_solids, view_solids
     from hexmap.drawing.solids.mesh import mesh_of_cells
     from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
@@ -246,8 +247,8 @@ def _show_solids(
         wrote(save_mesh(output, mesh, line), f"{scene.words}, mesh of {len(cells):,} cells")
     elif output is not None:
         cut: Any = "auto" if cut_above is None else Cut(above=cut_above)
-        fit = {"fit": 1.0} if whole else {}
-        draw_solids(cells, output, view=view, cut=cut, trajectory=line, offset=scene.offset, **fit)
+        fit = 1.0 if whole else FIT
+        draw_solids(cells, output, view=view, cut=cut, trajectory=line, offset=scene.offset, fit=fit)
         wrote(output, f"{scene.words}, {len(cells):,} cells, {cells.lattice.title}")
     if viewer:
         if line is not None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["bulk"]
+__all__ = ["FIT", "bulk"]
 
 # Beams through windows, off mirrors and along glass leave lone cells and rays far outside. On each side this fraction
 # of the cells may stray: an outer wall holds more of the occupied cells, a room more of the free ones.
-_OCCUPIED, _FREE = 0.005, 0.02
+FIT = 0.995  # of the occupied cells are no strays, on each side
+_FREE = 0.98
 _NEAR = 0.08  # of the width of the bulk: what is no farther off is no stray
 
 
@@ -24,10 +25,11 @@ def bulk(occupied: NDArray[np.float64], *free: NDArray[np.float64]) -> list[NDAr
         free: (M, n) the same, if there are any.
     """
     boxes = []
-    for centres, stray, near in ((occupied, _OCCUPIED, _NEAR), *((c, _FREE, 0.0) for c in free)):
+    for centres, fit, near in ((occupied, FIT, _NEAR), *((c, _FREE, 0.0) for c in free)):
         if len(centres):
             flat = centres[:, :2]
-            low, high = np.quantile(flat, (stray, 1.0 - stray), axis=0)
+            low, high = np.quantile(flat, (1.0 - fit, fit), axis=0)
             room = near * (high - low)
-            boxes.append(np.stack([np.maximum(flat.min(axis=0), low - room), np.minimum(flat.max(axis=0), high + room)]))
+            corners = np.maximum(flat.min(axis=0), low - room), np.minimum(flat.max(axis=0), high + room)
+            boxes.append(np.stack(corners))
     return boxes

@@ -17,7 +17,6 @@ from hexmap.maps.voxel_list import VoxelList
 
 __all__ = [
     "FAINT",
-    "FAR_COLOUR",
     "FRAME",
     "FREE_COLOUR",
     "HEIGHTS",
@@ -39,7 +38,6 @@ SHADES = ("#8b9dc3", "#7085b0", "#566a98", "#3e5180", "#273861", "#121f40")  # f
 PATH_COLOUR = "#e4572e"
 FAINT, FRAME = "#6b778c", "#b4bfcd"
 NEAR_COLOUR = "#f6ead9"  # free, but too near to an obstacle for the robot
-FAR_COLOUR = "#c3ccda"  # occupied, but above or below
 HEIGHTS = "viridis"
 _TEXT = "#1f2a3d"
 
@@ -108,8 +106,8 @@ class FigureLayout:
             raise ArgumentError(f"a picture of {counts[0]:.0f} x {counts[1]:.0f} pixels is too large; lower the dpi")
         high = low + counts * pixel
         captions = max(_MIN_WIDTH, counts[0] / dpi)
-        room = dict(beside=_BESIDE, below=_BELOW)
-        return cls(low, high, (int(counts[0]), int(counts[1])), dpi, titled, captions, y_down=y_down, **room)
+        pixels = int(counts[0]), int(counts[1])
+        return cls(low, high, pixels, dpi, titled, captions, below=_BELOW, y_down=y_down, beside=_BESIDE)
 
     def _whole(self, inches: float) -> float:
         """Return a length that is a whole number of pixels, so that the map's pixels are the image's."""

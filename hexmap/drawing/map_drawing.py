@@ -353,4 +353,4 @@ def draw_line(axes: Any, positions: NDArray[np.float64], width: float = 0.9) -> 
     ends = positions[np.isfinite(positions).all(axis=1)]
     for position, face, size in ((ends[0], "white", 5.5), (ends[-1], PATH_COLOUR, 5.5)):
         mark = dict(marker="o", markersize=size, markerfacecolor=face, markeredgecolor=PATH_COLOUR, markeredgewidth=1.2)
-        axes.plot(*position, **mark, zorder=7)
+        axes.plot(*position, **mark, zorder=7, clip_on=False)

@@ -41,7 +41,7 @@ def draw_pixels(
     """
     from matplotlib.colors import to_rgb
 
-    left, top = layout.low[0], layout.low[1] if layout.y_down else layout.high[1]
+    left, top = float(layout.low[0]), float((layout.low if layout.y_down else layout.high)[1])
     pixel = layout.metres_per_pixel
     step = pixel if layout.y_down else -pixel
     image = sample_image((left, top), (pixel, step), layout.pixels, table, colours)
@@ -78,8 +78,8 @@ def sample_image(
 
     palette = 255.0 * np.array([to_rgb(colour) for colour in colours], np.float32)
     (width, height), n = pixels, samples
-    xs = corner[0] + (np.arange(width * n) + 0.5) * (steps[0] / n)
-    ys = corner[1] + (np.arange(height * n) + 0.5) * (steps[1] / n)
+    xs = corner[0] + (np.arange(width * n, dtype=np.float64) + 0.5) * (steps[0] / n)
+    ys = corner[1] + (np.arange(height * n, dtype=np.float64) + 0.5) * (steps[1] / n)
     image = np.empty((height, width, 3), np.uint8)
     for rows, points in pixel_rows(xs, ys, n):
         sampled = table.at(points).reshape(-1, n, width, n)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.drawing.extent import FIT
 from hexmap.drawing.figure_layout import (
     FREE_COLOUR,
     SHADES,
@@ -48,7 +49,7 @@ def draw_slice(
     *,
     trajectory: Trajectory | ArrayLike | None = None,
     offset: ArrayLike = (0.0, 0.0, 0.0),
-    fit: float = 0.995,
+    fit: float = FIT,
     title: str | None = None,
     dpi: float = 200.0,
 ) -> Path:

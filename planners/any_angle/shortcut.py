@@ -20,7 +20,7 @@ _AHEAD = 64  # cells of the path that are tried at once
 _SAMPLES = 8  # of the terrain, a cell of the line
 
 
-def shortcut(graph: LatticeGraph, path: Path, *, across_terrain: bool = False) -> Path:
+def shortcut(graph: LatticeGraph, path: Path, *, across_terrain: bool = False, taut: bool = False) -> Path:
     """Return the path with legs replaced by straight lines where every cell that these meet is free.
 
     From each kept cell the path goes straight to the last cell up to which it sees every one, by
@@ -34,6 +34,8 @@ def shortcut(graph: LatticeGraph, path: Path, *, across_terrain: bool = False) -
         graph: in which the path was found.
         path: whose consecutive cells are neighbours.
         across_terrain: whether lines may run over terrain of several kinds.
+        taut: whether turning cells are then left out, moved and cut off as :func:`planners.any_angle` does, as long
+            as that shortens; not with terrain.
 
     Raises:
         ArgumentError: consecutive cells are no neighbours (a path is made shorter once).
@@ -44,7 +46,7 @@ def shortcut(graph: LatticeGraph, path: Path, *, across_terrain: bool = False) -
     if not np.isin(np.diff(flat), graph.offsets).all():
         raise ArgumentError("only a path of neighbouring cells can be made shorter by line of sight")
     from planners.any_angle import _kernels as kernels
-    from planners.any_angle.theta_star import make_view
+    from planners.any_angle.theta_star import Effort, make_view, tightened
 
     view = make_view(graph)
     terrain = np.empty(0) if graph.terrain is None else graph.terrain
@@ -58,12 +60,13 @@ def shortcut(graph: LatticeGraph, path: Path, *, across_terrain: bool = False) -
             last, cost = kernels.farthest(view, graph.free, terrain, flat, so_far, kept[-1])
         kept.append(last)
         costs.append(cost)
-    points = path.points[kept]
+    cells, points, cost = path.cells[kept], path.points[kept], math.fsum(costs)
+    if taut and graph.terrain is None:
+        cells = graph.flat_to_index(tightened(graph, view, flat[kept], np.zeros(len(Effort._fields), np.int64)))
+        points = np.ascontiguousarray(graph.lattice.centres(cells), dtype=np.float64)
+        cost = measure(points)[0]
     length, turning = measure(points)
-    cost = math.fsum(costs)
-    return replace(
-        path, cells=path.cells[kept], points=points, cost=cost, length=length, turning=turning, clearance=None
-    )
+    return replace(path, cells=cells, points=points, cost=cost, length=length, turning=turning, clearance=None)
 
 
 def _best_across_terrain(graph: LatticeGraph, path: Path, so_far: FloatArray, first: int) -> tuple[int, float]:
@@ -91,7 +94,7 @@ def _best_across_terrain(graph: LatticeGraph, path: Path, so_far: FloatArray, fi
 
 
 def _line_cost(graph: LatticeGraph, a: FloatArray, b: FloatArray) -> float:
-    """Return the integral of the terrain along the line between two points (n,), metres, that meets free cells alone."""
+    """Return the integral of the terrain along the line between points (n,), metres, that meets free cells alone."""
     assert graph.terrain is not None
     length = math.dist(a, b)
     count = max(1, math.ceil(_SAMPLES * length / graph.lattice.resolution))

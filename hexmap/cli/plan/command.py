@@ -162,7 +162,7 @@ def plan(
     if query.shortcut:
         from planners import shortcut as straighten
 
-        path = straighten(graph, path, across_terrain=True)
+        path = straighten(graph, path, across_terrain=True, taut=True)
     path = between_points(graph, path, query.start, query.goal)
     inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
     say(

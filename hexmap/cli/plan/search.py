@@ -88,7 +88,8 @@ def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
         Planner.canonical: _canonical_kernels.search,
     }
     assert query.planner is not None
-    return [own[query.planner], *([_anyangle_kernels.farthest] if query.shortcut else [])]
+    straightens = _anyangle_kernels.tighten if graph.terrain is None else _anyangle_kernels.sights
+    return [own[query.planner], *([straightens] if query.shortcut else [])]
 
 
 def _why(
