@@ -81,7 +81,7 @@ def pytest_make_parametrize_id(val: object) -> str | None:
 @pytest.fixture(autouse=True)
 def _no_notes_of_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep notes of compiling off standard error: they depend on which test is the first in a new folder of kernels."""
-    monkeypatch.setattr("hexmap.cli.console._is_compiled", lambda kernel: True)
+    monkeypatch.setattr("hexmap.cli.console.is_compiled", lambda kernel: True)
 
 
 @pytest.fixture(scope="session")

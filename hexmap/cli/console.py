@@ -25,6 +25,7 @@ __all__ = [
     "check_outputs",
     "compiling_note",
     "first_run_note",
+    "is_compiled",
     "progress_line",
     "say",
     "warn",
@@ -129,13 +130,13 @@ def first_run_note(seconds: int = 20) -> None:
     """Say on standard error that kernels are being compiled, where none is found compiled, and how long that takes."""
     from hexmap.lattice import _kernels as _lattice_kernels
 
-    if not any(_is_compiled(kernel) for kernel in (_lattice_kernels.quantise_2d, _lattice_kernels.quantise_3d)):
+    if not any(is_compiled(kernel) for kernel in (_lattice_kernels.quantise_2d, _lattice_kernels.quantise_3d)):
         _say_compiling("kernels", seconds)
 
 
 def compiling_note(*kernels: Any, seconds: int = 5) -> None:
     """Say on standard error that a planner is being compiled, where one of its kernels is found nowhere."""
-    if not all(_is_compiled(kernel) for kernel in kernels):
+    if not all(is_compiled(kernel) for kernel in kernels):
         _say_compiling("the planner", seconds)
 
 
@@ -143,7 +144,7 @@ def _say_compiling(what: str, seconds: int) -> None:
     typer.echo(f"compiling {what}, once, some {seconds} s", err=True)
 
 
-def _is_compiled(kernel: Any) -> bool:
+def is_compiled(kernel: Any) -> bool:
     """Tell whether a kernel's index is in the cache, or no kernel is compiled at all."""
     cache = getattr(getattr(kernel, "_cache", None), "cache_path", None)
     if cache is None:

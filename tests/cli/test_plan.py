@@ -41,7 +41,7 @@ def wrong_usage(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 ASTAR = ("--planner", "astar")
-is_compiled = console._is_compiled  # the fixtures replace it
+is_compiled = console.is_compiled  # the fixtures replace it
 PAST = ("--from", -1.5, -0.5, "--to", 1.5, -0.5)
 
 
@@ -297,17 +297,17 @@ def test_a_planner_that_was_never_compiled_is_announced(
 ) -> None:
     way = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
     # On standard error, a terminal or not: a script's log should say what it waits for.
-    monkeypatch.setattr(console, "_is_compiled", is_compiled)
+    monkeypatch.setattr(console, "is_compiled", is_compiled)
     for planner in ("astar", "dijkstra", "canonical", "any-angle"):
         assert call(*way, "--planner", planner) == 0  # compiled by now
         capsys.readouterr()
         assert call(*way, "--planner", planner) == 0
         assert capsys.readouterr().err == ""
         with monkeypatch.context() as patch:
-            patch.setattr(console, "_is_compiled", lambda kernel: kernel is quantise_2d)
+            patch.setattr(console, "is_compiled", lambda kernel: kernel is quantise_2d)
             assert call(*way, "--planner", planner) == 0
             assert re.fullmatch(r"compiling the planner, once, some \d+ s\n", capsys.readouterr().err)
-            patch.setattr(console, "_is_compiled", lambda kernel: False)
+            patch.setattr(console, "is_compiled", lambda kernel: False)
             assert call(*way, "--planner", planner) == 0
             assert re.match(r"compiling kernels, once, some \d+ s\n", capsys.readouterr().err)
     if JIT:

@@ -25,7 +25,7 @@ from hexmap.cli.plan.query import (
     planner_words,
     with_planner,
 )
-from hexmap.cli.plan.search import find_path, kernels_of
+from hexmap.cli.plan.search import compiled_aside, find_path, kernels_of
 from hexmap.cli.viewing import MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
@@ -147,14 +147,15 @@ def plan(
     )
     first_run_note(5)
     begin = time.perf_counter()
-    if own:
-        loaded = cropped(load_map(map), crop, map)
-        rule = rule_of(min_hits, min_ratio, loaded.sources())
-        planning_map = own_map(map, loaded, query, level or 0, rule, lattice, resolution)
-    else:
-        planning_map = foreign_map(map, query, lattice, resolution, cell)
-    graph = _with_clearance(planning_map.graph, query)
-    seconds = time.perf_counter() - begin
+    with compiled_aside(query):
+        if own:
+            loaded = cropped(load_map(map), crop, map)
+            rule = rule_of(min_hits, min_ratio, loaded.sources())
+            planning_map = own_map(map, loaded, query, level or 0, rule, lattice, resolution)
+        else:
+            planning_map = foreign_map(map, query, lattice, resolution, cell)
+        graph = _with_clearance(planning_map.graph, query)
+        seconds = time.perf_counter() - begin
     compiling_note(*kernels_of(graph, query))
     path = find_path(planning_map, graph, query)
     from planners.between_points import between_points
