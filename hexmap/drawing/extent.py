@@ -17,19 +17,18 @@ _NEAR = 0.08  # of the width of the bulk: what is no farther off is no stray
 def bulk(occupied: NDArray[np.float64], *free: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return the corners (2, 2), metres, of the boxes around the bulk of the occupied and of the free cells.
 
-    The box of the occupied cells reaches to the last cell that is near their bulk; free cells add what most of them
-    fill. Kinds without a cell are left out.
+    A box reaches to the last cell that is near the bulk. Kinds without a cell are left out.
 
     Args:
         occupied: (N, n) centres, metres, of which x and y count.
         free: (M, n) the same, if there are any.
     """
     boxes = []
-    for centres, fit, near in ((occupied, FIT, _NEAR), *((c, _FREE, 0.0) for c in free)):
+    for centres, fit in ((occupied, FIT), *((c, _FREE) for c in free)):
         if len(centres):
             flat = centres[:, :2]
             low, high = np.quantile(flat, (1.0 - fit, fit), axis=0)
-            room = near * (high - low)
+            room = _NEAR * (high - low)
             corners = np.maximum(flat.min(axis=0), low - room), np.minimum(flat.max(axis=0), high + room)
             boxes.append(np.stack(corners))
     return boxes
