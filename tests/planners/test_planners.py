@@ -16,7 +16,18 @@ from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 from hexmap.base.errors import ArgumentError, HexmapError
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
-from planners import DistanceField, NoPath, Path, astar, dijkstra, nearest_reachable, plan_many, shortcut, to_cell
+from planners import (
+    DistanceField,
+    NoPath,
+    Path,
+    astar,
+    dijkstra,
+    line_of_sight,
+    nearest_reachable,
+    plan_many,
+    shortcut,
+    to_cell,
+)
 from planners.search.heuristics import estimate, gauge_planes
 from tests.lattices import CASES, EXAMPLES, JIT, LONG, Case
 
@@ -407,6 +418,9 @@ def test_shortcuts_are_free_and_never_longer(case: Case, neighbourhood: str) -> 
         assert (short.cells[0] == path.cells[0]).all() and (short.cells[-1] == path.cells[-1]).all()
         if graph.terrain is None:
             assert short.cost == pytest.approx(short.length, rel=1e-12)
+            taut = shortcut(graph, path, taut=True)
+            assert taut.cost == taut.length <= short.length * (1 + 1e-12)
+            assert np.all(line_of_sight(graph, taut.cells[:-1], taut.cells[1:]))
         t = np.linspace(0.0, 1.0, 257)[:, None]
         for a, b in itertools.pairwise(short.points):
             # Points of the line, but those that lie on a face to the last digits: they could go either way.
