@@ -78,6 +78,12 @@ def pytest_make_parametrize_id(val: object) -> str | None:
     return f"{len(val)} bytes" if isinstance(val, bytes) else None
 
 
+@pytest.fixture(autouse=True)
+def _no_notes_of_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep notes of compiling off standard error: they depend on which test is the first in a new folder of kernels."""
+    monkeypatch.setattr("hexmap.cli.console.is_compiled", lambda kernel: True)
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of the real logs and maps; tests that need it skip where it is absent."""

@@ -24,6 +24,7 @@ __all__ = [
     "check_outputs",
     "compiling_note",
     "first_run_note",
+    "is_compiled",
     "progress_line",
     "say",
     "warn",
@@ -124,23 +125,25 @@ def _same(a: Path, b: Path) -> bool:
         return False
 
 
-def first_run_note() -> None:
-    """Say, on a terminal, that the kernels are being compiled, where no compiled one is found."""
-    if not sys.stderr.isatty():
-        return
+def first_run_note(seconds: int = 20) -> None:
+    """Say on standard error that kernels are being compiled, where none is found compiled, and how long that takes."""
     from hexmap.lattice import _kernels as _lattice_kernels
 
-    if not _is_compiled(_lattice_kernels.quantise_2d):
-        typer.echo("compiling the kernels; this happens once and takes some 20 seconds", err=True)
+    if not any(is_compiled(kernel) for kernel in (_lattice_kernels.quantise_2d, _lattice_kernels.quantise_3d)):
+        _say_compiling("kernels", seconds)
 
 
-def compiling_note(*kernels: Any) -> None:
-    """Say, on a terminal, that a planner is being compiled, where one of its kernels is found nowhere."""
-    if sys.stderr.isatty() and not all(_is_compiled(kernel) for kernel in kernels):
-        typer.echo("compiling the planner; this happens once", err=True)
+def compiling_note(*kernels: Any, seconds: int = 5) -> None:
+    """Say on standard error that a planner is being compiled, where one of its kernels is found nowhere."""
+    if not all(is_compiled(kernel) for kernel in kernels):
+        _say_compiling("the planner", seconds)
 
 
-def _is_compiled(kernel: Any) -> bool:
+def _say_compiling(what: str, seconds: int) -> None:
+    typer.echo(f"compiling {what}, once, some {seconds} s", err=True)
+
+
+def is_compiled(kernel: Any) -> bool:
     """Tell whether a kernel's index is in the cache, or no kernel is compiled at all."""
     cache = getattr(getattr(kernel, "_cache", None), "cache_path", None)
     if cache is None:

@@ -59,6 +59,7 @@ def show(
         typer.Option("--output", "-o", help="Picture (.png, .svg, .pdf); in space the mesh: .ply, .glb."),
     ] = None,
     level: LevelOption = 0,
+    whole: Annotated[bool, typer.Option("--whole", help="Show strays, too, far from all other cells.")] = False,
     trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
@@ -124,11 +125,11 @@ def show(
         check_applies(source, "the map is flat", {"--view": view != _VIEW, "--cut-above": cut_above is not None})
     drawn = output is not None and output.suffix.lower() in _DRAWINGS and scene.offset == _NO_OFFSET
     if scene.states.occupied.lattice.dim == 2 or (drawn and slice is None and not viewer):
-        _show_flat(source, scene, output, poses, slice, viewer)
+        _show_flat(source, scene, output, poses, slice, viewer, whole)
     elif slice is not None:
-        _show_slice(scene, slice, output, poses, viewer)
+        _show_slice(scene, slice, output, poses, viewer, whole)
     else:
-        _show_solids(scene, output, view, cut_above, poses, viewer)
+        _show_solids(scene, output, view, cut_above, poses, viewer, whole)
 
 
 def _own_map(map: Path, level: int, min_hits: int | None, min_ratio: float | None, about_points: bool) -> _Scene:
@@ -189,7 +190,13 @@ def _points(source: Path, lattice: str | None, size: float | None, **reading: An
 
 
 def _show_flat(
-    source: Path, scene: _Scene, output: Path | None, poses: Trajectory | None, height: float | None, viewer: bool
+    source: Path,
+    scene: _Scene,
+    output: Path | None,
+    poses: Trajectory | None,
+    height: float | None,
+    viewer: bool,
+    whole: bool,
 ) -> None:
     """Draw a map in the plane, or one in space from above."""
     from hexmap.base.errors import ArgumentError
@@ -198,17 +205,20 @@ def _show_flat(
     if viewer or height is not None or output is None:
         what = "--slice" if height is not None else "--viewer"
         raise ArgumentError(f"{source}: {what} is for maps in space, and this one is in the plane")
-    draw_states(scene.states, output, poses)
+    draw_states(scene.states, output, poses, whole=whole)
     wrote(output, scene.words)
 
 
-def _show_slice(scene: _Scene, height: float, output: Path | None, poses: Trajectory | None, viewer: bool) -> None:
+def _show_slice(
+    scene: _Scene, height: float, output: Path | None, poses: Trajectory | None, viewer: bool, whole: bool
+) -> None:
     """Draw a horizontal slice of a map in space."""
+    from hexmap.drawing.extent import FIT
     from hexmap.drawing.slice_drawing import draw_slice
 
     if viewer or output is None:
         raise typer.BadParameter("a slice is a picture: --slice goes with --output and without --viewer")
-    draw_slice(scene.states, height, output, trajectory=poses, offset=scene.offset)
+    draw_slice(scene.states, height, output, trajectory=poses, offset=scene.offset, fit=1.0 if whole else FIT)
     wrote(output, f"{scene.words}, slice at z = {height:g} m")
 
 
@@ -219,10 +229,12 @@ def _show_solids(
     cut_above: float | None,
     poses: Trajectory | None,
     viewer: bool,
+    whole: bool,
 ) -> None:
     """Draw the occupied cells of a map in space, save them as a mesh, or open a window."""
     import numpy as np
 
+    from hexmap.drawing.extent import FIT
     from hexmap.drawing.solids.draw_solids import Cut, draw_solids, view_solids
     from hexmap.drawing.solids.mesh import mesh_of_cells
     from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
@@ -235,7 +247,8 @@ def _show_solids(
         wrote(save_mesh(output, mesh, line), f"{scene.words}, mesh of {len(cells):,} cells")
     elif output is not None:
         cut: Any = "auto" if cut_above is None else Cut(above=cut_above)
-        draw_solids(cells, output, view=view, cut=cut, trajectory=line, offset=scene.offset)
+        fit = 1.0 if whole else FIT
+        draw_solids(cells, output, view=view, cut=cut, trajectory=line, offset=scene.offset, fit=fit)
         wrote(output, f"{scene.words}, {len(cells):,} cells, {cells.lattice.title}")
     if viewer:
         if line is not None:

@@ -18,7 +18,6 @@ from hexmap.maps.voxel_list import VoxelList
 
 __all__ = [
     "FAINT",
-    "FAR_COLOUR",
     "FRAME",
     "FREE_COLOUR",
     "HEIGHTS",
@@ -36,17 +35,19 @@ __all__ = [
 ]
 
 UNKNOWN_COLOUR, FREE_COLOUR = "#dde3ea", "#ffffff"
-SHADES = ("#a9b6cf", "#8494b5", "#62749b", "#445680", "#293a62", "#121f40")  # few hits to many
+SHADES = ("#8b9dc3", "#7085b0", "#566a98", "#3e5180", "#273861", "#121f40")  # few hits to many; one stands out, too
 PATH_COLOUR = "#e4572e"
 FAINT, FRAME = "#6b778c", "#b4bfcd"
 NEAR_COLOUR = "#f6ead9"  # free, but too near to an obstacle for the robot
-FAR_COLOUR = "#c3ccda"  # occupied, but above or below
 HEIGHTS = "viridis"
 _TEXT = "#1f2a3d"
 
 _LONG_SIDE = 8.0  # inches of the longer side of the map's own area
 _MIN_WIDTH = 6.4  # inches that the captions need
-_MARGIN, _FOOT, _HEAD = 0.14, 0.62, 0.36  # inches around, below and (with a title) above
+_MARGIN, _FOOT, _HEAD = 0.14, 0.66, 0.38  # inches around, below and (with a title) above
+_BESIDE, _BELOW = 0.5, 0.4  # inches for the coordinates to the left of the map and under it
+_TICK, _LEGEND, _SMALL, _TITLE = 7.5, 8.5, 7.5, 11.0  # points
+_ORIGIN = "#7a869a"
 _MAX_PIXELS = 50_000_000
 
 
@@ -54,8 +55,8 @@ _MAX_PIXELS = 50_000_000
 class FigureLayout:
     """Where the map lies in its figure: inches, the box it shows in metres, and whole pixels.
 
-    ``below`` and ``beside`` are room for something else under the map and to the left of it, inches; ``y_down`` puts
-    the low y at the top.
+    ``below`` and ``beside`` are room for coordinates and more under the map and to the left of it, inches; ``y_down``
+    puts the low y at the top.
     """
 
     low: NDArray[np.float64]
@@ -108,7 +109,8 @@ class FigureLayout:
             raise ArgumentError(f"a picture of {counts[0]:.0f} x {counts[1]:.0f} pixels is too large; lower the dpi")
         high = low + counts * pixel
         captions = max(_MIN_WIDTH, counts[0] / dpi)
-        return cls(low, high, (int(counts[0]), int(counts[1])), dpi, titled, captions, y_down=y_down)
+        pixels = int(counts[0]), int(counts[1])
+        return cls(low, high, pixels, dpi, titled, captions, below=_BELOW, y_down=y_down, beside=_BESIDE)
 
     def _whole(self, inches: float) -> float:
         """Return a length that is a whole number of pixels, so that the map's pixels are the image's."""
@@ -118,6 +120,20 @@ class FigureLayout:
     def metres_per_inch(self) -> float:
         """Metres of the map to an inch of paper."""
         return float((self.high[0] - self.low[0]) * self.dpi / self.pixels[0])
+
+    @property
+    def metres_per_pixel(self) -> float:
+        """Metres of the map to a pixel."""
+        return float((self.high[0] - self.low[0]) / self.pixels[0])
+
+    @property
+    def shows_origin(self) -> bool:
+        """Whether the origin of the coordinates lies in the map's area."""
+        return bool((self.low <= 0.0).all() and (self.high >= 0.0).all())
+
+    def count_outside(self, centres: NDArray[np.float64]) -> int:
+        """Return how many of the centres (N, 2), metres, are off the page."""
+        return int(((centres < self.low) | (centres > self.high)).any(axis=1).sum())
 
     @property
     def left(self) -> float:
@@ -140,13 +156,32 @@ class FigureLayout:
         return self._whole(_FOOT + self.below + (_HEAD if self.titled else _MARGIN)) + self.pixels[1] / self.dpi
 
     def add_axes(self, figure: Any) -> Any:
-        """Add axes in metres that cover the map's own pixels."""
+        """Add axes in metres that cover the map's own pixels, with coordinates, and the origin marked."""
         w, h = self.pixels[0] / self.dpi / self.width, self.pixels[1] / self.dpi / self.height
         axes = figure.add_axes((self.left / self.width, self.bottom / self.height, w, h))
         axes.set_xlim(self.low[0], self.high[0])
         axes.set_ylim(*((self.high[1], self.low[1]) if self.y_down else (self.low[1], self.high[1])))
-        axes.set_axis_off()
+        label_axes(axes, "x, m", "y, m")
+        if self.shows_origin:
+            for colour, width in (("white", 2.4), (_ORIGIN, 1.0)):
+                axes.plot(0.0, 0.0, marker="+", markersize=9.0, markeredgecolor=colour, markeredgewidth=width, zorder=4)
         return axes
+
+
+def label_axes(axes: Any, across: str, up: str) -> None:
+    """Draw thin ticks with coordinates along the left and the lower side of axes that hide nothing."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.patch.set_visible(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    inches = axes.figure.get_size_inches() * axes.get_position().size
+    for axis, length in ((axes.xaxis, inches[0]), (axes.yaxis, inches[1])):
+        # No number runs into the next one.
+        axis.set_major_locator(MaxNLocator(nbins=max(2, min(9, int(length / 0.45))), steps=[1, 2, 5, 10]))
+    axes.tick_params(labelsize=_TICK, length=2.5, width=0.5, color=FAINT, labelcolor=_TEXT, pad=2.0)
+    axes.set_xlabel(across, fontsize=_TICK, labelpad=1.5, color=FAINT)
+    axes.set_ylabel(up, fontsize=_TICK, labelpad=1.5, color=FAINT)
 
 
 def thresholds(occupied: VoxelList) -> NDArray[np.int64]:
@@ -165,11 +200,13 @@ def draw_captions(
     heights: tuple[float, float] | None,
     with_path: bool,
     title: str | None,
+    outside: int = 0,
 ) -> None:
-    """Write the title, the scale bar, the legend and what the map is, and frame it."""
+    """Write the title, the scale bar, the legend and what the map is, ``outside`` cells off the page, and frame it."""
     lattice, known = states.occupied.lattice, f"{len(states.occupied):,} occupied"
     flat = lattice.dim == 2
     known += f", {len(states.free):,} free cells" if flat else " cells, seen from above"
+    known += f", {outside:,} of them strays off the page" if outside else ""
     legend = _draw_sheet(figure, layout, title, f"{_lattice_words(lattice)}; {known}")
     if flat:
         legend.add_states(states)
@@ -228,13 +265,14 @@ def _draw_sheet(figure: Any, layout: FigureLayout, title: str | None, words: str
     sheet.add_patch(Rectangle((layout.left, layout.bottom), w, h, facecolor="none", edgecolor=FRAME, linewidth=0.6))
     left, right = _MARGIN, layout.width - _MARGIN
     if title is not None:
-        sheet.text(left, layout.height - 0.5 * _HEAD, title, fontsize=10.5, color=_TEXT, va="center")
-    row = 0.62 * _FOOT
+        sheet.text(left, layout.height - 0.5 * _HEAD, title, fontsize=_TITLE, color=_TEXT, va="center")
+    row = 0.64 * _FOOT
+    words += "; + marks the origin" if layout.shows_origin else ""
     metres = round_length(0.2 * (layout.high[0] - layout.low[0]))
     bar = metres / layout.metres_per_inch
     sheet.plot([left, left, left + bar, left + bar], [row + 0.05, row, row, row + 0.05], color=_TEXT, linewidth=1.1)
-    sheet.text(left + bar + 0.07, row, metres_text(metres), fontsize=7.5, color=_TEXT, va="center")
-    sheet.text(left, 0.24 * _FOOT, words, fontsize=7, color=FAINT, va="center")
+    sheet.text(left + bar + 0.07, row, metres_text(metres), fontsize=_LEGEND, color=_TEXT, va="center")
+    sheet.text(left, 0.24 * _FOOT, words, fontsize=_SMALL, color=FAINT, va="center")
     return _Legend(sheet, right, row)
 
 
@@ -245,7 +283,7 @@ class _Legend:
         self._sheet, self._x, self._row = sheet, right, row
 
     def _text(self, text: str, gap: float = 0.0) -> None:
-        words = self._sheet.text(self._x, self._row, text, fontsize=7.5, color=_TEXT, ha="right", va="center")
+        words = self._sheet.text(self._x, self._row, text, fontsize=_LEGEND, color=_TEXT, ha="right", va="center")
         box = words.get_window_extent(self._sheet.figure.canvas.get_renderer())
         self._x -= box.width / self._sheet.figure.dpi + gap
 

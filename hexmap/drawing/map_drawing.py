@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import one_line
+from hexmap.drawing.extent import bulk
 from hexmap.drawing.figure_layout import (
     FAINT,
     FREE_COLOUR,
@@ -33,9 +34,10 @@ from hexmap.drawing.figure_layout import (
     draw_captions,
     thresholds,
 )
+from hexmap.drawing.pixels import draw_pixels
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Map
-from hexmap.maps.outlines import ClassTable, Rings, outline, pixel_rows, silhouette
+from hexmap.maps.outlines import ClassTable, Rings, outline, silhouette
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 
@@ -46,7 +48,6 @@ __all__ = ["SUFFIXES", "HighestCells", "check_picture", "draw_map", "draw_states
 
 SUFFIXES = (".png", ".svg", ".pdf")
 
-_SUPERSAMPLING = 3
 # Cells at least this wide, in inches, get an outline of their own, if they are not too many.
 _OUTLINED_WIDTH, _OUTLINED_CELLS = 0.07, 40_000
 
@@ -72,6 +73,7 @@ def draw_map(
     rule: StateRule | None = None,
     dpi: float = 200.0,
     title: str | None = None,
+    whole: bool = False,
 ) -> Path:
     """Draw a level of a map into a file; the suffix says which kind.
 
@@ -84,6 +86,7 @@ def draw_map(
         rule: what makes a cell occupied or free; the default rule where none is given.
         dpi: pixels an inch of a PNG; the longer side of the map is 8 inches.
         title: a line above the map, if any.
+        whole: show strays, too: the few cells far from all others that beams through windows or off mirrors leave.
 
     Returns:
         The path of the file.
@@ -94,7 +97,7 @@ def draw_map(
         FileAccessError: the file cannot be written.
     """
     check_picture(Path(path))
-    return draw_states(map.state(rule, level), path, trajectory, dpi, title)
+    return draw_states(map.state(rule, level), path, trajectory, dpi, title, whole=whole)
 
 
 def draw_states(
@@ -104,6 +107,7 @@ def draw_states(
     dpi: float = 200.0,
     title: str | None = None,
     overlay: Callable[[Any], None] | None = None,
+    whole: bool = False,
 ) -> Path:
     """Draw occupied and free cells, of a level of a map or of a map of others, as :func:`draw_map` does.
 
@@ -119,9 +123,13 @@ def draw_states(
         raise ArgumentError(f"a picture has 10 to 5000 pixels an inch, not {dpi:g}")
     positions = _trajectory_positions(trajectory)
     highest = highest_cells(states.occupied) if states.occupied.lattice.dim == 3 else None
-    layout = FigureLayout.around(
-        _shown_positions(states, highest, positions), states.occupied.lattice, dpi, title is not None
-    )
+    cells = [highest.centres] if highest is not None else [states.occupied.centres(), states.free.centres()]
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    seen = np.concatenate([*(c[:, :2] for c in cells), finite])
+    if not whole:
+        seen = np.concatenate([*bulk(*cells), finite])
+    layout = FigureLayout.around(seen, states.occupied.lattice, dpi, title is not None)
+    outside = sum(layout.count_outside(c[:, :2]) for c in cells)
 
     def draw(figure: Any, axes: Any) -> None:
         if highest is not None:
@@ -138,7 +146,7 @@ def draw_states(
         if len(states.occupied) + (len(states.free) if highest is None else 0) == 0:
             words = "empty map: no cell is occupied" + (" or free" if highest is None else "")
             axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", color=FAINT, fontsize=11)
-        draw_captions(figure, layout, states, highest.heights if highest else None, len(positions) > 0, title)
+        draw_captions(figure, layout, states, highest.heights if highest else None, len(positions) > 0, title, outside)
 
     save_figure(layout, path, draw)
     return path
@@ -225,15 +233,6 @@ def _trajectory_positions(trajectory: Trajectory | ArrayLike | None) -> NDArray[
     return np.where(finite[:, None], positions[:, :2], np.nan) if finite.any() else np.empty((0, 2))
 
 
-def _shown_positions(
-    states: States, highest: HighestCells | None, positions: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return all positions (N, 2), metres, that the picture must show."""
-    cells = [highest.centres] if highest is not None else [states.occupied.centres(), states.free.centres()]
-    finite = positions[np.isfinite(positions).all(axis=1)]
-    return np.concatenate([*(c[:, :2] for c in cells), finite])
-
-
 def _shades(occupied: VoxelList) -> NDArray[np.int64]:
     """Return the shade (M,) of each cell, 0 for one hit and darker by the logarithm."""
     if len(occupied) == 0:
@@ -251,75 +250,6 @@ def _draw_states_as_pixels(figure: Any, layout: FigureLayout, states: States) ->
     table = ClassTable(occupied.lattice, [(free, np.ones(len(free), np.uint8)), (occupied, shades)])
     colours = (UNKNOWN_COLOUR, FREE_COLOUR, *SHADES)
     draw_pixels(figure, layout, table, colours, occupied.centres(), shades)
-
-
-class PointClasses(Protocol):
-    """What says of which class the points of a picture are: :class:`~hexmap.maps.outlines.ClassTable`, or a section."""
-
-    lattice: Lattice
-
-    def at(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Return the class (N,) of each of ``points`` (N, 2), metres."""
-        ...
-
-
-def draw_pixels(
-    figure: Any,
-    layout: FigureLayout,
-    table: PointClasses,
-    colours: tuple[str, ...],
-    walls: NDArray[np.float64],
-    classes: NDArray[np.uint8],
-) -> None:
-    """Put the exact image of cells onto the figure, the classes of ``table`` in their ``colours``.
-
-    The ``walls`` (M, 2), metres, are the centres of cells of ``classes`` (M,) that must stay visible
-    where they are smaller than a pixel.
-    """
-    from matplotlib.colors import to_rgb
-
-    palette = 255.0 * np.array([to_rgb(colour) for colour in colours], np.float32)
-    (width, height), n = layout.pixels, _SUPERSAMPLING
-    pixel = (layout.high[0] - layout.low[0]) / width
-    xs = layout.low[0] + (np.arange(width * n) + 0.5) * (pixel / n)
-    top, step = (layout.low[1], pixel) if layout.y_down else (layout.high[1], -pixel)
-    ys = top + (np.arange(height * n) + 0.5) * (step / n)
-    image = np.empty((height, width, 3), np.uint8)
-    for rows, points in pixel_rows(xs, ys, n):
-        sampled = table.at(points).reshape(-1, n, width, n)
-        # The samples of a pixel are added one after the other: far quicker than a mean over two axes.
-        total = np.zeros((len(sampled), width, 3), np.float32)
-        for i, j in np.ndindex(n, n):
-            total += palette[sampled[:, i, :, j]]
-        image[rows.start // n : rows.stop // n] = np.rint(total / (n * n))
-    if table.lattice.resolution < 2.0 * pixel and len(walls):
-        # A wall of one cell must not fade away on a small picture of a large map.
-        at = (walls - (layout.low[0], top)) / (pixel, step)
-        columns, lines = np.clip(at.astype(np.int64), 0, (width - 1, height - 1)).T
-        ink = np.rint(palette[classes]).astype(np.uint8)
-        np.minimum.at(image, (lines, columns), ink)
-    _put_image(figure, image, round(layout.left * layout.dpi), round(layout.bottom * layout.dpi))
-
-
-def _put_image(figure: Any, image: NDArray[np.uint8], x: int, y: int) -> None:
-    """Put an image (H, W, 3), top row first, behind all else, its lower left corner at pixel (x, y).
-
-    ``Figure.figimage`` would do, but resamples in floating point on the way, in some 250 MB.
-    """
-    from matplotlib.artist import Artist
-
-    opaque = np.full((*image.shape[:2], 4), 255, np.uint8)
-    opaque[:, :, :3] = image[::-1]
-
-    class Pixels(Artist):
-        def draw(self, renderer: Any) -> None:
-            context = renderer.new_gc()
-            renderer.draw_image(context, x, y, opaque)
-            context.restore()
-
-    pixels = Pixels()
-    pixels.set_zorder(-1)
-    figure.add_artist(pixels)
 
 
 def _draw_outlines(axes: Any, states: States) -> None:
@@ -426,4 +356,4 @@ def draw_line(axes: Any, positions: NDArray[np.float64], width: float = 0.9) -> 
     ends = positions[np.isfinite(positions).all(axis=1)]
     for position, face, size in ((ends[0], "white", 5.5), (ends[-1], PATH_COLOUR, 5.5)):
         mark = dict(marker="o", markersize=size, markerfacecolor=face, markeredgecolor=PATH_COLOUR, markeredgewidth=1.2)
-        axes.plot(*position, **mark, zorder=7)
+        axes.plot(*position, **mark, zorder=7, clip_on=False)

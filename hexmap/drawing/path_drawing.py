@@ -1,16 +1,14 @@
 """Pictures of paths: the cells that were searched and the path through them.
 
-In the plane the true cells are drawn as :mod:`hexmap.drawing` draws those of maps. Paths in space
-are seen from above and from the front; there the obstacles as high as the path beside them (from
-the front: as deep) are dark and all others pale.
+In the plane the true cells are drawn as :mod:`hexmap.drawing` draws those of maps. Of paths in space two sections
+through the cells are drawn, see :mod:`hexmap.drawing.path_sections`.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -19,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.drawing.figure_layout import (
-    FAINT,
-    FAR_COLOUR,
     FRAME,
     FREE_COLOUR,
     NEAR_COLOUR,
@@ -30,7 +26,9 @@ from hexmap.drawing.figure_layout import (
     FigureLayout,
     draw_path_captions,
 )
-from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, draw_pixels, save_figure
+from hexmap.drawing.map_drawing import add_cells, check_picture, draw_areas, draw_line, save_figure
+from hexmap.drawing.path_sections import PathSections
+from hexmap.drawing.pixels import draw_pixels
 from hexmap.lattice.window import IndexBox, box_coordinates
 from hexmap.maps.cell_state import CellState
 from hexmap.maps.outlines import ClassTable
@@ -47,12 +45,8 @@ _WALL = SHADES[-2]
 _NEAR = 3  # after the states
 _COLOURS = (UNKNOWN_COLOUR, FREE_COLOUR, _WALL, NEAR_COLOUR)
 _MARGIN, _MARGIN_CELLS = 0.15, 8  # around the path, as a fraction of its longer side, and in cells at least
-_GAP = 0.22  # inches between the two views
-_TALLEST = 9.0  # inches of both views together
-_LEAST_HEIGHT = 0.6  # inches of the view from the front
 _EDGED_WIDTH, _EDGED_CELLS = 0.05, 40_000  # cells at least so wide, inches, get an outline, if no more than so many
-_LEVEL = 2.0  # cells above or below the path that count as level with it
-_MANY = 200_000  # cells seen in space beyond which a picture shows dots
+_LINE = 1.8  # points, of the path
 
 
 def draw_path(
@@ -111,26 +105,37 @@ def draw_path(
         target = None  # so far away, it would make all else small
     seen = line if target is None else np.vstack([line, target])
     box = _box(graph, seen, covered, whole)
-    scene: _Plane | _Space
+    scene: _Plane | PathSections
     if n == 2:
         layout = FigureLayout.around(np.array(box), graph.lattice, dpi, title is not None, y_down)
         scene = _Plane(graph, state_at, layout, covered)
     else:
-        scene = _Space(graph, state_at, line, box, covered, dpi, title is not None)
-    layout = scene.layout
+        kinds_of = partial(_kinds_within, graph, state_at, covered)
+        scene = PathSections(graph, kinds_of, _COLOURS, line, box, dpi, title is not None)
 
     def draw(figure: Any, axes: Any) -> None:
         scene.draw(figure, axes, suffix)
-        views = [(axes, (0, 1)), *scene.further(figure)]
-        for view, columns in views:
-            draw_line(view, line[:, columns], 1.4)
-            if target is not None:
-                mark = dict(marker="x", markersize=6.5, markeredgecolor=PATH_COLOUR, markeredgewidth=1.6)
-                view.plot(*target[list(columns)], **mark, zorder=8)
-        draw_path_captions(figure, layout, graph.lattice, scene.kinds, title, words, target is not None)
+        draw_line(axes, line[:, :2], _LINE)
+        if isinstance(scene, PathSections):
+            draw_line(scene.draw_profile(figure, suffix), scene.profile, _LINE)
+        if target is not None:
+            mark = dict(marker="x", markersize=6.5, markeredgecolor=PATH_COLOUR, markeredgewidth=1.6)
+            axes.plot(*target[:2], **mark, zorder=8)
+        kinds = _legend(scene.kinds_seen())
+        draw_path_captions(figure, scene.layout, graph.lattice, kinds, title, words, target is not None)
 
-    save_figure(layout, file, draw)
+    save_figure(scene.layout, file, draw)
     return file
+
+
+def _legend(seen: set[int]) -> list[tuple[str, str]]:
+    """Return names and colours of the kinds of cells for the legend: unknown and too near ones where there are any."""
+    kinds = [("free", FREE_COLOUR), ("occupied", _WALL)]
+    if int(CellState.UNKNOWN) in seen:
+        kinds.append(("unknown", UNKNOWN_COLOUR))
+    if _NEAR in seen:
+        kinds.insert(1, ("too near", NEAR_COLOUR))
+    return kinds
 
 
 def _box(graph: LatticeGraph, seen: NDArray[np.float64], covered: Corners, whole: bool) -> Corners:
@@ -191,13 +196,18 @@ def _kinds_of(
     return np.where((states == CellState.FREE) & ~free, _NEAR, states).astype(np.uint8)
 
 
-def _dense(line: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """Return points (K, n) along a line (M, n) that are no more than ``step`` apart."""
-    pieces = [line[:1]]
-    for a, b in pairwise(line):
-        count = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
-        pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
-    return np.concatenate(pieces)
+def _kinds_within(
+    graph: LatticeGraph,
+    state_at: Callable[[NDArray[np.float64]], NDArray[np.uint8]] | None,
+    covered: Corners,
+    index: NDArray[np.int64],
+    centres: NDArray[np.float64],
+) -> NDArray[np.uint8]:
+    """Return the kinds (M,) of cells of the graph; beyond what its source covers they are unknown."""
+    inside = ((centres >= covered[0]) & (centres <= covered[1])).all(axis=1)
+    kinds = np.full(len(index), CellState.UNKNOWN, np.uint8)
+    kinds[inside] = _kinds_of(graph, state_at, index[inside], centres[inside])
+    return kinds
 
 
 # ---------------------------------------------------------------------- in the plane
@@ -213,11 +223,10 @@ class _Plane:
         low, high = np.maximum(layout.low - room, covered[0]), np.minimum(layout.high + room, covered[1])
         self._index, self._centres = _cells_in_box(graph, low, high)
         self._classes = _kinds_of(graph, state_at, self._index, self._centres)
-        self.kinds = [("free", FREE_COLOUR), ("occupied", _WALL)]
-        if (self._classes == CellState.UNKNOWN).any():
-            self.kinds.append(("unknown", UNKNOWN_COLOUR))
-        if (self._classes == _NEAR).any():
-            self.kinds.insert(1, ("too near", NEAR_COLOUR))
+
+    def kinds_seen(self) -> set[int]:
+        """Return the kinds of cells that are shown."""
+        return set(np.unique(self._classes).tolist())
 
     def _cells(self, *classes: int) -> VoxelList:
         return VoxelList.from_cells(self._index[np.isin(self._classes, classes)], self._lattice)
@@ -247,99 +256,3 @@ class _Plane:
                     facecolors="none", edgecolors=colour, linewidths=0.3,
                 )  # fmt: skip
 
-    def further(self, figure: Any) -> list[tuple[Any, tuple[int, int]]]:
-        """Return the axes of further views: none."""
-        return []
-
-
-# ---------------------------------------------------------------------- in space
-
-
-class _Space:
-    """The obstacles of space that the figure shows, from above and from the front."""
-
-    def __init__(
-        self,
-        graph: LatticeGraph,
-        state_at: Any,
-        line: NDArray[np.float64],
-        box: Corners,
-        covered: Corners,
-        dpi: float,
-        titled: bool,
-    ) -> None:
-        self._lattice = graph.lattice
-        self._line = line
-        room = 2.0 * graph.lattice.covering_radius
-        low, high = box[0][2] - room, box[1][2] + room
-        # Both views together are no longer than the picture of a map in the plane may be.
-        flat = np.array([box[0][:2], box[1][:2]])
-        layout = FigureLayout.around(flat, graph.lattice, dpi, titled)
-        tall = (layout.high[1] - layout.low[1] + high - low) / layout.metres_per_inch
-        if tall > _TALLEST:
-            layout = FigureLayout.around(flat, graph.lattice, dpi, titled, shrink=_TALLEST / tall)
-        self._inches = round(max((high - low) / layout.metres_per_inch, _LEAST_HEIGHT) * dpi) / dpi
-        self._middle = 0.5 * (low + high)
-        self.layout = replace(layout, below=self._inches + _GAP)
-        self.kinds = [("occupied, level with the path", _WALL), ("occupied elsewhere", FAR_COLOUR)]
-        half = 0.5 * self._inches * layout.metres_per_inch
-        floor, ceiling = np.append(layout.low, self._middle - half), np.append(layout.high, self._middle + half)
-        index, centres = _cells_in_box(graph, np.maximum(floor, covered[0]), np.minimum(ceiling, covered[1]))
-        self._walls = centres[_kinds_of(graph, state_at, index, centres) == CellState.OCCUPIED]
-
-    def draw(self, figure: Any, axes: Any, suffix: str) -> None:
-        """Draw what is seen from above."""
-        self._draw_walls(axes, (0, 1))
-        self._label(axes, "from above: x, y")
-
-    def further(self, figure: Any) -> list[tuple[Any, tuple[int, int]]]:
-        """Return the axes of the view from the front, drawn."""
-        layout = self.layout
-        bottom = layout.bottom - layout.below
-        w = layout.pixels[0] / layout.dpi
-        axes = figure.add_axes(
-            (layout.left / layout.width, bottom / layout.height, w / layout.width, self._inches / layout.height)
-        )
-        half = 0.5 * self._inches * layout.metres_per_inch
-        axes.set_xlim(layout.low[0], layout.high[0])
-        axes.set_ylim(self._middle - half, self._middle + half)
-        axes.set_xticks([])
-        axes.set_yticks([])
-        for spine in axes.spines.values():
-            spine.set(edgecolor=FRAME, linewidth=0.6)
-        self._draw_walls(axes, (0, 2))
-        self._label(axes, "from the front: x, z")
-        return [(axes, (0, 2))]
-
-    def _label(self, axes: Any, text: str) -> None:
-        # Outside the frame, where it hides nothing.
-        style = dict(fontsize=7, color=FAINT, ha="right", va="bottom", annotation_clip=False)
-        axes.annotate(text, (1, 1), (0, 2.5), xycoords="axes fraction", textcoords="offset points", **style)
-
-    def _draw_walls(self, axes: Any, seen: tuple[int, int]) -> None:
-        """Draw the obstacles as two axes show them, those level with the path above the others."""
-        from scipy.spatial import cKDTree
-
-        # A curved section: what is level with that point of the path that is nearest in the picture.
-        (along,) = {0, 1, 2} - set(seen)
-        line = _dense(self._line, self._lattice.resolution)
-        nearest = cKDTree(line[:, seen]).query(self._walls[:, seen])[1]
-        near = np.abs(self._walls[:, along] - line[nearest, along]) <= _LEVEL * self._lattice.resolution
-        for chosen, colour in ((~near, FAR_COLOUR), (near, _WALL)):
-            centres = self._walls[chosen]
-            step = np.round(centres[:, seen] / (1e-3 * self._lattice.resolution)).astype(np.int64)
-            centres = centres[np.unique(step, axis=0, return_index=True)[1]]
-            if len(centres) > _MANY:
-                size = max(72.0 * self._lattice.resolution / self.layout.metres_per_inch, 0.4)
-                axes.scatter(*centres[:, seen].T, s=size**2, marker="s", color=colour, linewidths=0, rasterized=True)
-            elif len(centres):
-                add_cells(
-                    axes,
-                    self.layout,
-                    self._lattice,
-                    centres,
-                    seen,
-                    facecolors=colour,
-                    edgecolors=colour,
-                    linewidths=0.2,
-                )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.drawing.extent import FIT
 from hexmap.drawing.figure_layout import (
     FREE_COLOUR,
     SHADES,
@@ -24,7 +24,8 @@ from hexmap.drawing.figure_layout import (
     draw_slice_captions,
     metres_text,
 )
-from hexmap.drawing.map_drawing import draw_line, draw_pixels, save_figure
+from hexmap.drawing.map_drawing import draw_line, save_figure
+from hexmap.drawing.pixels import draw_pixels
 from hexmap.drawing.solids.lines import positions_in_space
 from hexmap.maps.outlines import ClassTable
 from hexmap.maps.state_rule import States
@@ -39,8 +40,6 @@ _COLOURS = (UNKNOWN_COLOUR, FREE_COLOUR, SHADES[-2])
 _KINDS = [("occupied", SHADES[-2]), ("free", FREE_COLOUR), ("unknown", UNKNOWN_COLOUR)]
 _OCCUPIED = 2  # the place of its colour
 _STRAYING = 0.08  # of the width of the bulk of the cells: what is farther off is a stray
-_BESIDE, _BELOW = 0.52, 0.42  # inches for the labels of the axes
-_TICK = 6.5  # points
 
 
 def draw_slice(
@@ -50,7 +49,7 @@ def draw_slice(
     *,
     trajectory: Trajectory | ArrayLike | None = None,
     offset: ArrayLike = (0.0, 0.0, 0.0),
-    fit: float = 0.995,
+    fit: float = FIT,
     title: str | None = None,
     dpi: float = 200.0,
 ) -> Path:
@@ -98,7 +97,6 @@ def draw_slice(
     layout = FigureLayout.around(
         np.vstack([low + shift[:2], high + shift[:2], finite]), lattice, dpi, title is not None
     )
-    layout = replace(layout, beside=_BESIDE, below=_BELOW)
     section = _Section(occupied, free, shift, z)
     centres = occupied.centres()[:, :2] + shift[:2]
     cut = centres[section.at(centres) == _OCCUPIED]
@@ -106,7 +104,6 @@ def draw_slice(
 
     def draw(figure: Any, axes: Any) -> None:
         draw_pixels(figure, layout, section, _COLOURS, cut, np.full(len(cut), _OCCUPIED, np.uint8))
-        _label(axes, layout)
         draw_line(axes, line[:, :2])
         words = f"slice at z = {metres_text(height)}"
         words += f", {outside:,} occupied cells off the page" if outside else ""
@@ -149,17 +146,3 @@ def _box(cells: VoxelList, fit: float) -> tuple[NDArray[np.float64], NDArray[np.
     low, high = np.quantile(flat, (1.0 - fit, fit), axis=0)
     room = _STRAYING * (high - low)
     return np.maximum(flat.min(axis=0), low - room), np.minimum(flat.max(axis=0), high + room)
-
-
-def _label(axes: Any, layout: FigureLayout) -> None:
-    """Write the coordinates along the axes."""
-    axes.set_axis_on()
-    axes.patch.set_visible(False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    axes.locator_params(nbins=8)
-    axes.tick_params(labelsize=_TICK, length=2.5, width=0.6)
-    axes.set_xlabel("x, m", fontsize=_TICK, labelpad=1.5)
-    axes.set_ylabel("y, m", fontsize=_TICK, labelpad=1.5)
-    axes.set_xlim(layout.low[0], layout.high[0])
-    axes.set_ylim(layout.low[1], layout.high[1])

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,9 @@ from hexmap.experiments.timing import median_seconds
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.paper.cases import about_axis
+from hexmap.paper.cell_figures import draw_cells, new_figure, planar_cells, solid_cells
 from hexmap.paper.rotation_settings import RotationSettings
 from hexmap.paper.verdicts import Evidence, judge, judge_cost
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = [
     "PAPER",
@@ -177,7 +175,7 @@ def add_curves(report: Report, results: RotationResults) -> None:
     plane = results.base.dim == 2
     for key, number, word in (("count", 4 if plane else 6, "cells"), ("distortion", 7, "distortion")):
         with figure_style():
-            figure = _new_figure(7.0, 2.6)
+            figure = new_figure(7.0, 2.6)
             axes = figure.add_subplot(1, 1, 1)
             for k, lattice in enumerate(results.lattices):
                 values = results.samples[key, "axis"].values[k]
@@ -197,65 +195,15 @@ def add_cells(report: Report, results: RotationResults) -> None:
     report.heading("The cells")
     if results.base.dim == 2:
         report.figure(
-            "fig2_3", _planar_cells(results), "As the paper's Figs 2 and 3: the occupied cells of the same points."
-        )
+            "fig2_3", planar_cells(results.points, results.lattices),
+            "As the paper's Figs 2 and 3: the occupied cells of the same points, all on one scale, metres.",
+        )  # fmt: skip
     else:
         report.figure(
-            "fig5", _solid_cells(results), "As the paper's Fig. 5: the occupied cells, coloured by height, cut open."
-        )
-
-
-def _new_figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _planar_cells(results: RotationResults) -> Figure:
-    """Draw the same points on every lattice, side by side, as they are and rotated by 45 degrees."""
-    lattices = results.lattices
-    with figure_style():
-        figure = _new_figure(3.6 * len(lattices), 7.2)
-        for row, degrees in enumerate((0.0, 45.0)):
-            rotated = about_axis("z", degrees, 2).apply(results.points)
-            for k, lattice in enumerate(lattices):
-                cells = VoxelList.from_points(rotated, lattice)
-                axes = figure.add_subplot(2, len(lattices), row * len(lattices) + k + 1)
-                _draw_cells(axes, cells, k, f"{lattice.name}, {degrees:g} degrees: {len(cells)} cells")
-    return figure
-
-
-def _draw_cells(axes: Any, cells: VoxelList, k: int, title: str) -> None:
-    """Draw the true cells of a planar list in the colour of the k-th lattice."""
-    from matplotlib.collections import PolyCollection
-
-    outlines = cells.lattice.cell.vertices[None] + cells.centres()[:, None]
-    colour = COLOURS[k % len(COLOURS)]
-    axes.add_collection(PolyCollection(list(outlines), facecolors=colour, edgecolors="white", linewidths=0.4))
-    axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_title(title, fontsize=9)
-    axes.set_axis_off()
-
-
-def _solid_cells(results: RotationResults) -> Figure:
-    """Draw the scan as shaded polyhedra, one picture a lattice."""
-    from matplotlib.image import imread
-
-    from hexmap.drawing.solids.draw_solids import draw_solids
-
-    columns = 2
-    rows = -(-len(results.lattices) // columns)
-    with tempfile.TemporaryDirectory() as work, figure_style():
-        figure = _new_figure(8.0, 3.0 * rows)
-        for k, lattice in enumerate(results.lattices):
-            cells = VoxelList.from_points(results.points, lattice)
-            path = draw_solids(cells, Path(work) / f"{k}.png", size=(1200, 900))
-            axes = figure.add_subplot(rows, columns, k + 1)
-            axes.imshow(imread(path), interpolation="antialiased")
-            axes.set_title(f"{lattice.name} ({lattice.title}), {len(cells):,} cells", fontsize=9)
-            axes.set_axis_off()
-    return figure
+            "fig5", solid_cells(results.points, results.lattices),
+            "As the paper's Fig. 5: the occupied cells, coloured by height, cut open, and beside them a part of them "
+            "from close by.",
+        )  # fmt: skip
 
 
 # ---------------------------------------------------------------------- beyond the paper
@@ -321,7 +269,7 @@ def _add_diagonal(report: Report, lattices: list[Lattice]) -> None:
     line = np.stack([np.linspace(-10.0, 10.0, 40_001), np.full(40_001, 0.1)], axis=1)
     rows = []
     with figure_style():
-        figure = _new_figure(7.0, 3.0)
+        figure = new_figure(7.0, 3.0)
         for k, lattice in enumerate(lattices):
             on = lattice.scaled(1.0 / lattice.resolution)
             row: dict[str, Any] = {"lattice": lattice.name}
@@ -330,7 +278,7 @@ def _add_diagonal(report: Report, lattices: list[Lattice]) -> None:
                 cells = VoxelList.from_points(about_axis("z", degrees, 2).apply(line), on)
                 row[f"{degrees:g} degrees"] = len(cells)
                 if degrees == 45.0:
-                    _draw_cells(axes, cells, k, f"{lattice.name}: {len(cells)} cells")
+                    draw_cells(axes, cells, k, f"{lattice.name}: {len(cells)} cells")
             rows.append(row)
     report.table("diagonal", rows, caption="Cells of 1 m2 that a line of 20 m needs, by its direction.")
     report.figure("diagonal", figure, "The introduction's thought experiment: a line of 20 m at 45 degrees.")

@@ -425,13 +425,14 @@ def _find_parent(view, cells, moves, tree, a, segment, tried, counts):
 @njit(cache=True, nogil=True)
 def follow(tree, at):
     """Return the flat cells from the start to ``at``."""
-    out = np.empty(64, np.int64)
-    out[0] = at
+    # Counted first: an array that grows takes half a second to compile.
     count = 1
-    while tree[at]["parent"] != at:
-        at = np.int64(tree[at]["parent"])
-        if count == out.shape[0]:
-            out = np.append(out, np.empty(count, np.int64))
-        out[count] = at
+    cell = np.int64(at)
+    while tree[cell]["parent"] != cell:
+        cell = np.int64(tree[cell]["parent"])
         count += 1
-    return out[:count][::-1].copy()
+    out = np.empty(count, np.int64)
+    out[count - 1] = at
+    for i in range(count - 2, -1, -1):
+        out[i] = tree[out[i + 1]]["parent"]
+    return out

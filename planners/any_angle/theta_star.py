@@ -221,7 +221,6 @@ def search_path(
     graph: LatticeGraph, source: int, target: int, *, lazy: bool = True, tighten: bool = True
 ) -> tuple[IntArray, Effort]:
     """Return the flat turning cells (M,) from ``source`` to ``target``, none without a path, and what it took."""
-    from planners.any_angle import _kernels as kernels
     from planners.any_angle import _theta_kernels as theta
 
     view = make_view(graph)
@@ -231,12 +230,19 @@ def search_path(
     limit = _AT_FIRST if len(graph.moves) <= MOST_MOVES else _NO_LIMIT
     path = _search(graph, view, theta.Query(source, target, scale, 1.0, lazy, glance, limit), counts)
     if tighten and len(path):
-        near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
-        if len(path) <= _CORNERS:
-            # Two steps away as well: over a cell that one step leads onto, which may be no better.
-            near = np.unique(np.concatenate([near, (near[:, None] + near).ravel()]))
-        path = kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
+        path = tightened(graph, view, path, counts)
     return path, Effort(*counts.tolist())
+
+
+def tightened(graph: LatticeGraph, view: View, path: IntArray, counts: IntArray) -> IntArray:
+    """Return flat turning cells (M,), each of which sees the next, made taut; ``counts`` as of :class:`Effort`."""
+    from planners.any_angle import _kernels as kernels
+
+    near = np.unique(np.concatenate([graph.offsets, graph.lattice.faces @ graph.strides]))
+    if len(path) <= _CORNERS:
+        # Two steps away as well: over a cell that one step leads onto, which may be no better.
+        near = np.unique(np.concatenate([near, (near[:, None] + near).ravel()]))
+    return kernels.tighten(view, graph.free, path, near, _ROUNDS, _WINDOW, counts)
 
 
 def _search(graph: LatticeGraph, view: View, query: Query, counts: IntArray) -> IntArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from math import nan
 from typing import Any
@@ -19,6 +20,9 @@ from planners.benchmark.settings import LEAST_QUERIES
 __all__ = ["report_lengths"]
 
 _BINS = 4
+_MARKERS = "osD^vP*Xhd"
+_APART = 0.012  # of the distance, by which the markers of two grids are moved apart
+_LEAST = 0.01  # per cent: on the scale of logarithms what is less stands at its foot
 _STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 2)))
 
 
@@ -78,7 +82,7 @@ def _by_map(
 
 def _by_distance(report: Report, shown: list[ResultGroup], dim: int, fraction: int, interval: IntervalOf) -> None:
     """Report lengths by that of the optimum, in as many queries a bin, as a table and a figure."""
-    from matplotlib.ticker import NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FuncFormatter, NullFormatter, ScalarFormatter
 
     optimum = shown[0].values["optimum"]
     edges = np.quantile(optimum, np.linspace(0, 1, _BINS + 1))
@@ -96,25 +100,39 @@ def _by_distance(report: Report, shown: list[ResultGroup], dim: int, fraction: i
                 row[f"{edges[b]:.1f} to {edges[b + 1]:.1f}"] = value = interval(x.values["ratio"][bins == b])
                 found.append(value if (bins == b).sum() >= LEAST_QUERIES else replace(value, low=nan, high=nan))
             rows.append(row)
-            low = [v.value - v.low for v in found]
-            high = [v.high - v.value for v in found]
+            excess, lows, highs = (
+                [nan if math.isnan(value) else max(100.0 * (value - 1.0), _LEAST) for value in values]
+                for values in ([v.value for v in found], [v.low for v in found], [v.high for v in found])
+            )
+            low = [a - b for a, b in zip(excess, lows, strict=True)]
+            high = [b - a for a, b in zip(excess, highs, strict=True)]
+            # Apart from each other, so that no interval hides another one.
+            at = [m * math.exp(_APART * (k - 0.5 * (len(shown) - 1))) for m in middles]
             axes.errorbar(
-                middles, [v.value for v in found], yerr=[low, high], linestyle=_STYLES[k % len(_STYLES)],
-                color=COLOURS[k % len(COLOURS)], label=x.label, capsize=2, linewidth=1.2,
+                at, excess, yerr=[low, high], linestyle=_STYLES[k % len(_STYLES)], marker=_MARKERS[k % len(_MARKERS)],
+                color=COLOURS[k % len(COLOURS)], label=x.label, capsize=2.5, linewidth=1.1, markersize=4.5,
             )  # fmt: skip
         axes.set_xscale("log")
+        # Lines from a tenth of a per cent to a half: only on such a scale do they part.
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.xaxis.set_major_formatter(ScalarFormatter())
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xticks([float(f"{m:.2g}") for m in middles])
         axes.set_xlabel(f"{optimum_word(dim)}, source cells")
-        axes.set_ylabel(f"length / {optimum_word(dim)}")
+        axes.set_ylabel(f"% longer than the {optimum_word(dim)}")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7.5)
     report.table(
         f"distance_{dim}d_{fraction}", rows, formats={c: ".4f" for c in rows[0] if c != "grid"},
         caption=f"Length over the {optimum_word(dim)} by its length in source cells, edge 1/{fraction}; "
         f"{', '.join(str(int((bins == b).sum())) for b in range(_BINS))} queries.",
     )  # fmt: skip
-    report.figure(f"distance_{dim}d_{fraction}", figure, f"Length by distance, edge 1/{fraction}.")
+    report.figure(
+        f"distance_{dim}d_{fraction}", figure,
+        f"By how much paths are longer than the {optimum_word(dim)}, by distance, edge 1/{fraction}: means with 95 % "
+        f"intervals, on a scale of logarithms; no more than {_LEAST:g} % stands at its foot.",
+    )  # fmt: skip
 
 
 def _by_angle(report: Report, shown: list[ResultGroup], dim: int, fraction: int, interval: IntervalOf) -> None:

@@ -41,6 +41,8 @@ def wrong_usage(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return err
 
 
+ASTAR = ("--planner", "astar")
+is_compiled = console.is_compiled  # the fixtures replace it
 PAST = ("--from", -1.5, -0.5, "--to", 1.5, -0.5)
 
 
@@ -75,12 +77,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     csv, png = tmp_path / "path.csv", tmp_path / "path.png"
-    arguments = ("plan", folder / "rooms.parquet", "--from", "-1.5", "-.5", "--to", 1.5, "-0.5", "--radius", 0.15)
+    plain = ("plan", folder / "rooms.parquet", "--from", "-1.5", "-.5", "--to", 1.5, "-0.5", "--radius", 0.15)
+    arguments = (*plain, *ASTAR)
     assert call(*arguments, "-o", csv, "--picture", png) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].startswith(f"{folder / 'rooms.parquet'}: hexagonal lattice at 0.1 m, 6 moves, window of ")
     assert (
-        out[1].startswith("astar from (-1.5, -0.5) to (1.5, -0.5): length ")
+        out[1].startswith("A* from (-1.5, -0.5) to (1.5, -0.5): length ")
         and "m from occupied cells, " in out[1]
         and out[1].endswith(" cells")
     )
@@ -97,17 +100,71 @@ def test_a_path_through_a_map_of_ones_own(folder: Path, tmp_path: Path, capsys: 
     length = table.length[-1]
     first = csv.read_bytes()
     for spelling in (("--to=1.5,-0.5", "--from=-1.5,-0.5"), ("--from", "-1.5,-5e-1", "--to", "+1.5,", "-0.5")):
-        assert call("plan", *spelling, folder / "rooms.parquet", "--radius", 0.15, "-o", csv) == 0
+        assert call("plan", *spelling, folder / "rooms.parquet", *ASTAR, "--radius", 0.15, "-o", csv) == 0
         assert csv.read_bytes() == first
-    for more in (["--planner", "dijkstra"], ["--planner", "canonical"], ["--bidirectional"], ["--weight", 1.0]):
-        assert call(*arguments, "-o", csv, *more) == 0
+    for more in (["--planner", "dijkstra"], ["--planner", "canonical"], [*ASTAR, "--bidirectional"],
+                 [*ASTAR, "--weight", 1.0]):  # fmt: skip
+        assert call(*plain, "-o", csv, *more) == 0
         # Of equally long ways between the cells each planner takes its own, and the end pieces differ.
         assert read_path(csv).length[-1] == pytest.approx(length, abs=0.1)
-    for more in (["--planner", "any-angle"], ["--shortcut"], ["--neighbourhood", "extended"], ["--neighbourhood", 12]):
-        assert call(*arguments, "-o", csv, *more) == 0
+    for more in (["--planner", "any-angle"], [*ASTAR, "--shortcut"], [*ASTAR, "--neighbourhood", "extended"],
+                 [*ASTAR, "--neighbourhood", 12]):  # fmt: skip
+        assert call(*plain, "-o", csv, *more) == 0
         assert read_path(csv).length[-1] < length
     assert call(*arguments, "-o", csv, "--clearance-weight", 3, "--clearance-reach", 0.4) == 0
     assert read_path(csv).length[-1] >= length - 1e-9
+
+
+def test_without_a_planner_the_path_is_straight(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv = tmp_path / "path.csv"
+    own = ("plan", folder / "rooms.parquet", *PAST, "-o", csv)
+    assert call(*own, "--planner", "any-angle") == 0
+    best = csv.read_bytes()
+    least = read_path(csv).length[-1]
+    capsys.readouterr()
+    assert call(*own) == 0
+    assert csv.read_bytes() == best
+    assert capsys.readouterr().out.splitlines()[1].startswith("any-angle from (-1.5, -0.5) to ")
+    straightened = "A*, straightened by line of sight, from (-1.5, -0.5) to "
+    cost_kept = "A*, straightened by line of sight where that costs no more, from (-1.5, -0.5) to "
+    capsys.readouterr()
+    # What the any-angle planner does not take, A* does, and its path is straightened.
+    for more, words in [
+        (["--neighbourhood", 12], "any-angle from "), (["--weight", 2], straightened), (["--shortcut"], straightened),
+        (["--bidirectional"], straightened), (["--nearest"], straightened), (["--clearance-weight", 3], cost_kept),
+    ]:  # fmt: skip
+        assert call(*own, *more) == 0
+        assert capsys.readouterr().out.splitlines()[1].startswith(words)
+        length = read_path(csv).length[-1]
+        if "--shortcut" not in more:
+            assert call(*own, *ASTAR, *more) == 0
+            assert least - 0.01 < length < read_path(csv).length[-1]
+        capsys.readouterr()
+    space = ("plan", folder / "rooms.3dmap.gz", "--from", 1, 3, 1, "--to", 7, 3, 1, "-o", csv)
+    assert call(*space, *ASTAR) == 0
+    jagged = read_path(csv).length[-1]
+    capsys.readouterr()
+    assert call(*space) == 0
+    assert capsys.readouterr().out.splitlines()[1].startswith("A*, straightened by line of sight, from (1, 3, 1) to ")
+    assert read_path(csv).length[-1] < jagged
+
+
+def test_straightening_keeps_the_cost_of_clearance(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hall = tmp_path / "hall.map"
+    hall.write_text("type octile\nheight 20\nwidth 60\nmap\n" + ("." * 60 + "\n") * 9 + "." * 30 + "@" * 30 + "\n"
+                    + ("." * 60 + "\n") * 10)  # fmt: skip
+    way = ("plan", hall, "--from", 2, 9, "--to", 57, 8, "--clearance-weight", 5, "--clearance-reach", 4)
+    costs, lengths = [], []
+    for more in (ASTAR, ()):
+        assert call(*way, *more) == 0
+        line = capsys.readouterr().out.splitlines()[1]
+        costs.append(float(line.split("cost ")[1].split(",")[0]))
+        lengths.append(float(line.split("length ")[1].split(" m")[0]))
+    assert costs[1] < 0.95 * costs[0] and lengths[1] < 0.95 * lengths[0] and lengths[1] > 55.5
 
 
 def test_maps_of_others(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -116,7 +173,8 @@ def test_maps_of_others(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert "hexagonal lattice at 0.05 m" in capsys.readouterr().out
     assert read_path(csv).points[:, 1].max() > 0.5
     game = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
-    assert call(*game, "--lattice", "Z2", "--resolution", 1, "--neighbourhood", "extended", "-o", csv) == 0
+    moves = (*ASTAR, "--neighbourhood", "extended")
+    assert call(*game, "--lattice", "Z2", "--resolution", 1, *moves, "-o", csv) == 0
     assert read_path(csv).length[-1] == pytest.approx(4 * math.sqrt(2) + 4)  # no corner is cut
     assert (
         call(*game[:3], 1, 0.5, "--to", 4, 0.5, "--cell", 0.5, "-o", csv, "--picture", tmp_path / "p.svg", "--whole")
@@ -220,14 +278,15 @@ def test_jagged_paths_are_told_how_to_straighten(tmp_path: Path, capsys: pytest.
     hall = tmp_path / "hall.map"
     hall.write_text("type octile\nheight 20\nwidth 60\nmap\n" + ("." * 60 + "\n") * 20)
     way = ("plan", hall, "--from", 2, 10, "--to", 55, 10, "--lattice", "A2")
-    both = "jagged: --shortcut or --planner any-angle straightens it"
+    ways = "--shortcut straightens it, as does leaving out --planner"
+    hint_of_astar = f"jagged: {ways}, --neighbourhood extended turns less"
     for more, hint in [
-        ((), f"{both}, --neighbourhood extended turns less"),
-        (("--clearance-weight", 0), "jagged: --shortcut straightens it, --neighbourhood extended turns less"),
-        (("--shortcut",), ""),
-        (("--planner", "any-angle"), ""),
-        (("--neighbourhood", "extended"), ""),
-        (("--lattice", "Z2"), ""),
+        (ASTAR, hint_of_astar),
+        ((*ASTAR, "--clearance-weight", 0), hint_of_astar),
+        ((*ASTAR, "--shortcut"), ""),
+        ((), ""),
+        ((*ASTAR, "--neighbourhood", "extended"), ""),
+        ((*ASTAR, "--lattice", "Z2"), ""),
     ]:
         given = way[:-2] if "--lattice" in more else way
         assert call(*given, *more) == 0
@@ -238,19 +297,22 @@ def test_a_planner_that_was_never_compiled_is_announced(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     way = ("plan", folder / "rooms.map", "--from", 2, 1, "--to", 8, 1)
-    note = "compiling the planner; this happens once\n"
+    # On standard error, a terminal or not: a script's log should say what it waits for.
+    monkeypatch.setattr(console, "is_compiled", is_compiled)
     for planner in ("astar", "dijkstra", "canonical", "any-angle"):
         assert call(*way, "--planner", planner) == 0  # compiled by now
         capsys.readouterr()
+        assert call(*way, "--planner", planner) == 0
+        assert capsys.readouterr().err == ""
         with monkeypatch.context() as patch:
-            patch.setattr(console.sys.stderr, "isatty", lambda: True)
+            patch.setattr(console, "is_compiled", lambda kernel: kernel is quantise_2d)
             assert call(*way, "--planner", planner) == 0
-            assert note not in capsys.readouterr().err
-            patch.setattr(console, "_is_compiled", lambda kernel: kernel is quantise_2d)
+            assert re.fullmatch(r"(compiling the planner, once, some \d+ s\n)+", capsys.readouterr().err)
+            patch.setattr(console, "is_compiled", lambda kernel: False)
             assert call(*way, "--planner", planner) == 0
-            assert capsys.readouterr().err.count(note) == 1
+            assert re.match(r"compiling kernels, once, some \d+ s\n", capsys.readouterr().err)
     if JIT:
-        assert console._is_compiled(quantise_2d)
+        assert is_compiled(quantise_2d)
 
 
 def gap(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
@@ -280,7 +342,8 @@ def test_the_disc_of_the_robot_keeps_off_the_cells_of_the_source(
     blocked = np.argwhere(world.states == CellState.OCCUPIED).astype(float)
     low, high = world.centre(blocked - 0.5), world.centre(blocked + 0.5)
     csv = tmp_path / "path.csv"
-    arguments = ("plan", folder / name, *ends, "--lattice", lattice, "-o", csv, "--resolution", 0.5 * world.cell)
+    on = ("--lattice", lattice, "--resolution", 0.5 * world.cell)
+    arguments = ("plan", folder / name, *ends, *on, "-o", csv, *ASTAR)
     radii = (0.0, 0.05, 0.1) if name == "rooms.yaml" else (0.0, 0.3, 0.5, 0.62)
     for radius in radii:
         assert call(*arguments, "--radius", radius) == 0
@@ -298,7 +361,7 @@ def test_the_disc_of_the_robot_keeps_off_the_cells_of_ones_own_map(
     walls = level.hits.centres()
     corners = level.lattice.cell.vertices
     for radius in (0.1, 0.15, 0.2):
-        assert call("plan", folder / "rooms.parquet", *PAST, "--radius", radius, "-o", csv) == 0
+        assert call("plan", folder / "rooms.parquet", *PAST, *ASTAR, "--radius", radius, "-o", csv) == 0
         points = read_path(csv).points
         # Edge by edge; the centres of free cells are outside of all hexagons.
         least = math.inf
@@ -341,7 +404,7 @@ def test_a_lattice_too_small_or_large_for_floats_says_so() -> None:
 
 def test_what_is_counted(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = ("plan", folder / "rooms.parquet", "--from", -1.5, -0.5)
-    for more, word in (((), "cell"), (("--shortcut",), "point"), (("--planner", "any-angle"), "point")):
+    for more, word in ((ASTAR, "cell"), (("--shortcut",), "point"), ((), "point")):
         csv = tmp_path / "p.csv"
         assert call(*own, "--to", -1.5, -0.5, *more, "-o", csv) == 0
         out = capsys.readouterr().out.splitlines()
@@ -602,7 +665,8 @@ def test_real_maps(data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture
         table.points[[0, -1]], [[15.05, 16.95], [43, 24.45]], atol=0.08
     )
     arena = ("plan", data_dir / "planning" / "movingai" / "arena.map", "--from", 1, 7, "--to", 47, 44)
-    assert call(*arena, "--lattice", "Z2", "--resolution", 1, "--neighbourhood", "extended", "-o", csv) == 0
+    moves = (*ASTAR, "--neighbourhood", "extended")
+    assert call(*arena, "--lattice", "Z2", "--resolution", 1, *moves, "-o", csv) == 0
     assert read_path(csv).length[-1] == pytest.approx(61.3259, abs=1e-4)  # of its scenario
     simple = ("plan", data_dir / "planning" / "warframe" / "Simple.3dmap.gz", "--from", 46, 73, 46, "--to", 75, 57, 57)
     assert call(*simple, "--resolution", 1, "-o", csv, "--picture", png) == 0

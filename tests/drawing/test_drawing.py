@@ -11,9 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError, FileAccessError
+from hexmap.drawing.extent import bulk
 from hexmap.drawing.figure_layout import FREE_COLOUR, NEAR_COLOUR, SHADES, UNKNOWN_COLOUR, FigureLayout, thresholds
-from hexmap.drawing.map_drawing import SUFFIXES, draw_map, highest_cells
+from hexmap.drawing.map_drawing import SUFFIXES, draw_map, highest_cells, save_figure
 from hexmap.drawing.path_drawing import draw_path
+from hexmap.drawing.path_sections import PathSections
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.cell_state import CellState
@@ -162,6 +164,7 @@ def test_every_pixel_well_inside_a_cell_has_the_colour_of_its_state(case: Case, 
     index = np.concatenate([states.occupied.index, states.free.index, np.add(states.free.index, [40, 0])])
     centres = case.lattice.centres(index)
     inside = ((centres > layout.low + 2 * pixel) & (centres < layout.high - 2 * pixel)).all(axis=1)
+    inside &= np.hypot(*(centres / pixel).T) > 10.0  # where the origin is marked
     index, centres = index[inside], centres[inside]
     columns, rows = ((centres - layout.low) / pixel).astype(int).T
     colours = part[rows, columns]
@@ -181,6 +184,53 @@ def test_walls_stay_on_a_small_picture_of_a_large_map(tmp_path: Path) -> None:
     image = np.asarray(Image.open(tmp_path / "m.png").convert("RGB"))
     dark = (image == rgb(SHADES[0])).all(axis=2)
     assert dark.any(axis=0).sum() > 0.9 * 8 * 30
+
+
+@planar
+def test_strays_are_off_the_page_unless_asked_for(case: Case, tmp_path: Path) -> None:
+    xs, ys = np.meshgrid(np.arange(40), np.arange(40))
+    room = np.stack([xs.ravel(), ys.ravel()], axis=1)
+    strays = np.array([[400, 7], [401, 7], [30, -500]])
+    lattice = case.lattice
+    map_ = Map([Level(VoxelList.from_cells(np.vstack([room, strays]), lattice), VoxelList.empty(lattice))])
+    alone = Map([Level(VoxelList.from_cells(room, lattice), VoxelList.empty(lattice))])
+    for name, drawn, whole in (("a", map_, False), ("b", alone, False), ("c", map_, True), ("d", alone, True)):
+        draw_map(drawn, tmp_path / f"{name}.svg", whole=whole)
+    a, b, c, d = ((tmp_path / f"{name}.svg").read_bytes() for name in "abcd")
+    assert len({a, b, c}) == 3 and b == d
+
+    def extent(drawn: Map) -> NDArray[np.float64]:
+        corners = np.vstack(bulk(drawn.state().occupied.centres(), drawn.state().free.centres()))
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+    centres = lattice.centres(room)
+    assert np.array_equal(extent(alone), [centres.min(axis=0), centres.max(axis=0)])
+    width = np.ptp(centres, axis=0)
+    # What is beyond the bulk by less than a tenth of its width may stay.
+    assert (np.abs(extent(map_) - extent(alone)) <= 0.1 * width).all()
+
+
+def test_a_few_cells_and_a_thin_line_lose_none() -> None:
+    line = np.column_stack([np.arange(900.0), np.zeros(900)])
+    for centres in (np.zeros((1, 2)), np.array([[0.0, 0.0], [9.0, 1.0]]), line):
+        (corners,) = bulk(centres, np.empty((0, 2)))
+        assert np.array_equal(corners, [centres.min(axis=0), centres.max(axis=0)])
+    assert bulk(np.empty((0, 2)), np.empty((0, 2))) == []
+
+
+def test_the_coordinates_are_those_of_the_map(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    for low, high in (((-3.0, -2.0), (5.0, 6.0)), ((1000.0, 20.0), (1002.0, 20.5))):
+        layout = FigureLayout.around(np.array([low, high]), Lattice.named("A2", 0.1), 100.0, False)
+        figure = Figure(figsize=(layout.width, layout.height), dpi=100.0)
+        axes = layout.add_axes(figure)
+        figure.canvas.draw()
+        assert axes.get_xlabel() == "x, m" and axes.get_ylabel() == "y, m"
+        for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True):
+            assert float(label.get_text().replace("\N{MINUS SIGN}", "-")) == pytest.approx(tick)
+        assert layout.shows_origin == (low[0] < 0.0) == (len(axes.lines) > 0)
+        assert all(line.get_xydata().tolist() == [[0.0, 0.0]] for line in axes.lines)
 
 
 def test_more_hits_are_darker() -> None:
@@ -358,6 +408,7 @@ def test_a_picture_of_a_path_shows_true_cells(case: Case, y_down: bool, tmp_path
     known = blocked.flat_to_index(np.flatnonzero(blocked.free | graph.free | 1))
     centres = lattice.centres(known)
     inside = np.all(np.abs(centres) < 1.5, axis=1) & (np.hypot(*(centres - line[0]).T) > 0.35)
+    inside &= np.hypot(*centres.T) > 0.15  # where the origin is marked
     for index, centre in zip(known[inside], centres[inside], strict=True):
         offset = (centre - layout.low) if y_down else (np.array([1, -1]) * (centre - (layout.low[0], layout.high[1])))
         column, row = (offset / layout.metres_per_inch * 60.0).astype(int)
@@ -368,6 +419,50 @@ def test_a_picture_of_a_path_shows_true_cells(case: Case, y_down: bool, tmp_path
         near = state == FREE and not blocked.free[blocked.index_to_flat(index[None])[0]]
         wanted = NEAR_COLOUR if near else {UNKNOWN: UNKNOWN_COLOUR, FREE: FREE_COLOUR, OCCUPIED: SHADES[-2]}[state]
         assert pixel.tolist() == rgb(wanted), (centre, state)
+
+
+@spatial
+def test_sections_along_a_path_show_the_cells_it_meets(case: Case, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    lattice = case.lattice.scaled(0.2 / case.lattice.resolution)
+    graph = walled(lattice)
+    line = np.array([[-1.0, -0.6, -0.4], [0.1, 0.5, 0.2], [0.9, 0.5, 0.6]])
+    colours = {int(UNKNOWN): UNKNOWN_COLOUR, int(FREE): FREE_COLOUR, int(OCCUPIED): SHADES[-2]}
+
+    def kinds_of(index: NDArray[np.int64], centres: NDArray[np.float64]) -> NDArray[np.uint8]:
+        states = np.where(graph.free[graph.index_to_flat(index)] != 0, FREE, OCCUPIED)
+        return np.where(centres[:, 1] > 0.8, UNKNOWN, states).astype(np.uint8)
+
+    box = np.full(3, -1.4), np.full(3, 1.4)
+    dpi = 60.0 if JIT else 15.0
+    sections = PathSections(graph, kinds_of, tuple(colours.values()), line, box, dpi, False)
+    layout = sections.layout
+    profile: list[NDArray[np.float64]] = []
+
+    def draw(figure: Any, axes: Any) -> None:
+        sections.draw(figure, axes, ".png")
+        axes = sections.draw_profile(figure, ".png")
+        at = axes.get_position().get_points() * [layout.width * dpi, layout.height * dpi]
+        profile.extend([at, np.array([axes.get_xlim(), axes.get_ylim()]).T])
+
+    save_figure(layout, tmp_path / "p.png", draw)
+    assert sections.kinds_seen() == set(colours)
+    image = np.rint(255 * imread(tmp_path / "p.png")[::-1, :, :3]).astype(int)
+    top = np.array([[layout.left, layout.bottom], [layout.left, layout.bottom] + np.array(layout.pixels) / dpi]) * dpi
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    s = np.linspace(0.05, along[-1] - 0.05, 200)
+    points = np.column_stack([np.interp(s, along, line[:, k]) for k in range(3)])
+    # On the path the two sections show the same cells, those of its points.
+    for (corners, limits), where in (
+        ((top, np.array([layout.low, layout.high])), points[:, :2]),
+        (profile, np.column_stack([s, points[:, 2]])),
+    ):
+        columns, rows = (corners[0] + (where - limits[0]) / (limits[1] - limits[0]) * (corners[1] - corners[0])).T
+        seen = image[rows.astype(int), columns.astype(int)]
+        index = lattice.quantise(points)
+        wanted = np.array([rgb(colours[k]) for k in kinds_of(index.astype(np.int64), lattice.centres(index))])
+        assert (seen == wanted).all(axis=1).mean() > (0.75 if JIT else 0.4)  # but on the faces of cells
 
 
 @pytest.mark.parametrize(

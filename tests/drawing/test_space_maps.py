@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.drawing import slice_drawing
+from hexmap.drawing.figure_layout import SHADES
 from hexmap.drawing.slice_drawing import draw_slice
 from hexmap.drawing.solids import renderer as scene
 from hexmap.drawing.solids.draw_solids import draw_solids
@@ -25,7 +26,7 @@ from tests.lattices import JIT, SPATIAL, Case
 from tests.mapping import room_in_space
 
 spatial = pytest.mark.parametrize("case", SPATIAL, ids=str)
-COLOURS = {CellState.OCCUPIED: "#293a62", CellState.FREE: "#ffffff", CellState.UNKNOWN: "#dde3ea"}
+COLOURS = {CellState.OCCUPIED: SHADES[-2], CellState.FREE: "#ffffff", CellState.UNKNOWN: "#dde3ea"}
 RED = np.array([0xE4, 0x57, 0x2E]) / 255.0
 
 
@@ -74,9 +75,9 @@ def test_a_slice_shows_the_cell_that_each_point_of_the_plane_lies_in(
 
 def test_a_slice_is_exact_where_cubes_are_cut(tmp_path: Path) -> None:
     cubes = Lattice.named("Z3", 1.0)
-    states = States(VoxelList.from_cells([[0, 0, 0]], cubes), VoxelList.from_cells([[1, 0, 0], [0, 1, 0]], cubes))
+    states = States(VoxelList.from_cells([[9, 0, 0]], cubes), VoxelList.from_cells([[10, 0, 0], [9, 1, 0]], cubes))
     image = pixels(draw_slice(states, 0.49, tmp_path / "a.png", dpi=50.0))
-    dark = np.abs(image - np.array([0x29, 0x3A, 0x62]) / 255.0).max(axis=2) < 1e-3
+    dark = np.abs(image - [int(SHADES[-2][i : i + 2], 16) / 255.0 for i in (1, 3, 5)]).max(axis=2) < 1e-3
     rows, columns = np.nonzero(dark[: image.shape[0] - 60])
     height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
     assert dark[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1].mean() > 0.95

@@ -16,7 +16,18 @@ from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 from hexmap.base.errors import ArgumentError, HexmapError
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
-from planners import DistanceField, NoPath, Path, astar, dijkstra, nearest_reachable, plan_many, shortcut, to_cell
+from planners import (
+    DistanceField,
+    NoPath,
+    Path,
+    astar,
+    dijkstra,
+    line_of_sight,
+    nearest_reachable,
+    plan_many,
+    shortcut,
+    to_cell,
+)
 from planners.search.heuristics import estimate, gauge_planes
 from tests.lattices import CASES, EXAMPLES, JIT, LONG, Case
 
@@ -407,6 +418,9 @@ def test_shortcuts_are_free_and_never_longer(case: Case, neighbourhood: str) -> 
         assert (short.cells[0] == path.cells[0]).all() and (short.cells[-1] == path.cells[-1]).all()
         if graph.terrain is None:
             assert short.cost == pytest.approx(short.length, rel=1e-12)
+            taut = shortcut(graph, path, taut=True)
+            assert taut.cost == taut.length <= short.length * (1 + 1e-12)
+            assert np.all(line_of_sight(graph, taut.cells[:-1], taut.cells[1:]))
         t = np.linspace(0.0, 1.0, 257)[:, None]
         for a, b in itertools.pairwise(short.points):
             # Points of the line, but those that lie on a face to the last digits: they could go either way.
@@ -414,6 +428,24 @@ def test_shortcuts_are_free_and_never_longer(case: Case, neighbourhood: str) -> 
             both = [graph.lattice.quantise(line + s * 1e-9 * case.lattice.resolution) for s in (-1.0, 1.0)]
             inner = both[0][(both[0] == both[1]).all(axis=1)]
             assert graph.free[graph.index_to_flat(inner)].all()
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_shortcuts_across_terrain_cost_no_more_than_the_moves(case: Case) -> None:
+    side = 14 if case.dim == 2 else 8
+    shape = (side,) * case.dim
+    # Dear on one side, cheap on the other, as near walls that are to be kept off.
+    slope = 1.0 + 3.0 * np.indices(shape)[0] / side
+    graph = LatticeGraph.from_states(case.lattice, [0] * case.dim, np.ones(shape, np.uint8)).with_terrain(slope)
+    path = astar(graph, [side - 1] * case.dim, [side // 2, *[0] * (case.dim - 1)])
+    short = shortcut(graph, path, across_terrain=True)
+    assert len(short) < len(path) and short.cost <= path.cost * (1 + 1e-12)
+    fine = np.linspace(0.0, 1.0, 20_001)[:, None]
+    cost = 0.0
+    for a, b in itertools.pairwise(short.points):
+        flat = graph.index_to_flat(case.lattice.quantise(a + fine * (b - a)))
+        cost += float(graph.terrain[flat].mean() * np.linalg.norm(b - a))  # type: ignore[index]
+    assert short.cost == pytest.approx(cost, rel=0.02)
 
 
 def test_shortcuts_do_not_cut_corners() -> None:

@@ -24,8 +24,10 @@ from hexmap.cli.plan.query import (
     in_metres,
     parse_neighbourhood,
     parse_position,
+    planner_words,
+    with_planner,
 )
-from hexmap.cli.plan.search import find_path, kernels_of
+from hexmap.cli.plan.search import compiled_aside, find_path, kernels_of
 from hexmap.cli.viewing import MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
@@ -74,7 +76,14 @@ def plan(
         ),
     ] = None,
     unknown: Annotated[Unknown, typer.Option(help="What to take unknown cells for.")] = Unknown.blocked,
-    planner: Annotated[Planner, typer.Option(help="What looks for the path.")] = Planner.astar,
+    planner: Annotated[
+        Planner | None,
+        typer.Option(
+            help="What looks for the path; astar's leads from cell to cell.",
+            show_default="any-angle in the plane; A*, straightened by line of sight, in space, with costs and with "
+            "A*'s options",
+        ),
+    ] = None,
     weight: Annotated[
         float | None, typer.Option(help="Weight of A*'s heuristic; above 1 is faster.", show_default="1")
     ] = None,
@@ -110,9 +119,9 @@ def plan(
     min_ratio: MinRatio = None,
     crop: clouds.Crop = None,
 ) -> None:
-    """Look for the cheapest path between two positions in a map.
+    """Look for a path between two positions in a map: straight lines, or with --planner astar moves of the lattice.
 
-    The path begins in --from and ends in --to; between them it leads from cell centre to cell centre.
+    The path begins in --from and ends in --to; between them it turns at centres of cells.
     """
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map
@@ -123,6 +132,7 @@ def plan(
         radius, clearance_weight, clearance_reach, unknown, neighbourhood,
     )  # fmt: skip
     check_usage(query)
+    query = with_planner(query)
     if whole and picture is None:
         raise typer.BadParameter("--whole needs a --picture")
     check_numbers(query, {"--resolution": resolution, "--cell": cell}, min_hits, min_ratio)
@@ -143,24 +153,25 @@ def plan(
         {"--cell": cell},
         {"--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio, "--crop": crop},
     )
-    first_run_note()
+    first_run_note(5)
     begin = time.perf_counter()
-    if own:
-        loaded = cropped(load_map(map), crop, map)
-        rule = rule_of(min_hits, min_ratio, loaded.sources())
-        planning_map = own_map(map, loaded, query, level or 0, rule, on, resolution)
-    else:
-        planning_map = foreign_map(map, query, on, resolution, cell)
-    graph = _with_clearance(planning_map.graph, query)
-    seconds = time.perf_counter() - begin
+    with compiled_aside(query):
+        if own:
+            loaded = cropped(load_map(map), crop, map)
+            rule = rule_of(min_hits, min_ratio, loaded.sources())
+            planning_map = own_map(map, loaded, query, level or 0, rule, on, resolution)
+        else:
+            planning_map = foreign_map(map, query, on, resolution, cell)
+        graph = _with_clearance(planning_map.graph, query)
+        seconds = time.perf_counter() - begin
     compiling_note(*kernels_of(graph, query))
     path = find_path(planning_map, graph, query)
     from planners.between_points import between_points
 
-    if shortcut:
+    if query.shortcut:
         from planners import shortcut as straighten
 
-        path = straighten(graph, path)
+        path = straighten(graph, path, across_terrain=True, taut=True)
     path = between_points(graph, path, query.start, query.goal)
     inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
     say(
@@ -237,7 +248,7 @@ def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
     met = 1 + int(np.diff(path.cells, axis=0).any(axis=1).sum())
     cost = f"{path.cost:.3f}" if path.cost < 1e6 else f"{path.cost:g}"
     say(
-        f"{query.planner.value} from {in_metres(query.start)} to {in_metres(query.goal)}: "
+        f"{planner_words(query)} from {in_metres(query.start)} to {in_metres(query.goal)}: "
         f"length {path.length:.3f} m, cost {cost}, turning {math.degrees(path.turning):.0f} deg, {room}, "
         f"{counted(len(path), 'point') if straight else counted(met, 'cell')}"
     )
@@ -256,9 +267,9 @@ def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
     effort = f"{counted(path.expansions, 'expansion')}, {counted(path.pushes, 'push', 'pushes')}"
     say(f"{effort}, {1000.0 * path.seconds:.1f} ms{bound}")
     if not straight and math.degrees(path.turning) > max(_JAGGED[0], _JAGGED[1] * len(path)):
-        either = "--shortcut" if query.clearance_weight is not None else "--shortcut or --planner any-angle"
         more = len(planning_map.graph.moves) < len(lattice.extended)
-        say(f"jagged: {either} straightens it{', --neighbourhood extended turns less' if more else ''}")
+        less = ", --neighbourhood extended turns less" if more else ""
+        say(f"jagged: --shortcut straightens it, as does leaving out --planner{less}")
     if query.radius > 0.0 and planning_map.has_unknown and query.unknown is Unknown.blocked:
         unknown = int(CellState.UNKNOWN)
         share = share_of_line(lattice, path.points, query.radius, lambda at: planning_map.state_at(at) == unknown)

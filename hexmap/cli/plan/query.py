@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -91,14 +91,16 @@ class Query:
 
     Attributes:
         start, goal: positions, metres.
-        planner, weight, bidirectional, shortcut, nearest: how the path is looked for.
+        planner, weight, bidirectional, shortcut, nearest: how the path is looked for; no planner: see
+            :func:`with_planner`.
         radius, clearance_weight, clearance_reach: how it keeps off occupied cells.
         unknown, neighbourhood: what cells and what moves it may take.
+        is_default: whether the planner was chosen for the user, and other options may choose another.
     """
 
     start: Position
     goal: Position
-    planner: Planner
+    planner: Planner | None
     weight: float | None
     bidirectional: bool
     shortcut: bool
@@ -108,6 +110,7 @@ class Query:
     clearance_reach: float | None
     unknown: Unknown
     neighbourhood: Any
+    is_default: bool = False
 
 
 def check_usage(query: Query) -> None:
@@ -117,10 +120,10 @@ def check_usage(query: Query) -> None:
         "--weight": query.weight is not None, "--bidirectional": query.bidirectional, "--nearest": query.nearest,
     }  # fmt: skip
     named = [name for name, given in asked.items() if given]
-    if named and planner is not Planner.astar:
+    if named and planner is not None and planner is not Planner.astar:
         instead = "; in Python planners.nearest_reachable gives the cell to search to" if query.nearest else ""
         raise typer.BadParameter(f"{' and '.join(named)}: only with --planner astar, not with {planner.value}{instead}")
-    if query.clearance_weight is not None and planner not in (Planner.astar, Planner.dijkstra):
+    if query.clearance_weight is not None and planner is not None and planner not in (Planner.astar, Planner.dijkstra):
         raise typer.BadParameter(f"--clearance-weight: only with --planner astar or dijkstra, not with {planner.value}")
     if query.bidirectional and query.weight is not None:
         raise typer.BadParameter("--bidirectional takes no --weight")
@@ -128,6 +131,29 @@ def check_usage(query: Query) -> None:
         raise typer.BadParameter("--shortcut: a path of any angle is straightened already")
     if query.clearance_reach is not None and query.clearance_weight is None:
         raise typer.BadParameter("--clearance-reach needs a --clearance-weight")
+
+
+def with_planner(query: Query) -> Query:
+    """Return the query with what looks for a straight path where no planner is named.
+
+    In the plane that is the any-angle planner. In space, where it is slow, and with costs or options that it does not
+    take it is A*, whose path is straightened by line of sight.
+    """
+    if query.planner is not None:
+        return query
+    only_astar = query.weight is not None or query.bidirectional or query.nearest or query.shortcut
+    if len(query.start) == 2 and query.clearance_weight is None and not only_astar:
+        return replace(query, planner=Planner.any_angle, is_default=True)
+    return replace(query, planner=Planner.astar, shortcut=True, is_default=True)
+
+
+def planner_words(query: Query) -> str:
+    """Return what looked for the path, and what was done to it, for the report."""
+    name = "A*" if query.planner is Planner.astar else str(query.planner)
+    if not query.shortcut:
+        return name
+    where = " where that costs no more" if query.clearance_weight is not None else ""
+    return f"{name}, straightened by line of sight{where},"
 
 
 def check_numbers(query: Query, sizes: dict[str, float | None], min_hits: int | None, min_ratio: float | None) -> None:

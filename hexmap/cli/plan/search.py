@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from hexmap.cli.plan.map_source import PlanningMap
@@ -36,7 +38,8 @@ def find_path(planning_map: PlanningMap, graph: LatticeGraph, query: Query) -> P
         return run(graph, *cells)
     except NoPath as error:
         text, helps = _why(error, planning_map, graph, query, cells)
-        if query.nearest or query.planner is not Planner.astar or error.reason.startswith("start"):
+        other = query.planner is not Planner.astar and not query.is_default
+        if query.nearest or other or error.reason.startswith("start"):
             helps.remove("--nearest")
         advice = f"; {' or '.join(helps)} may help" if helps else ""
         raise NoPath(error.reason, text + advice) from error
@@ -56,6 +59,58 @@ def _planner(query: Query) -> Callable[[LatticeGraph, Any, Any], PlannedPath]:
     found: Callable[[LatticeGraph, Any, Any], PlannedPath]
     found = planners.any_angle if query.planner is Planner.any_angle else planners.canonical
     return found
+
+
+@contextlib.contextmanager
+def compiled_aside(query: Query) -> Iterator[None]:
+    """Compile half of a planner in another process, where it has never been, while this one reads the map.
+
+    The other half is compiled here when it is called. What is compiled goes from one process to the other through the
+    cache of kernels; where a process fails nothing is lost but time. It is over at the end of the block.
+    """
+    import subprocess
+    import sys
+
+    from hexmap.cli.console import compiling_note, is_compiled
+    from planners.any_angle import _kernels, _theta_kernels
+
+    free = query.planner is Planner.any_angle
+    kernel = _theta_kernels.search if free else _kernels.tighten
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if processors < 2 or not (free or query.shortcut) or is_compiled(kernel):
+        yield
+        return
+    compiling_note(kernel, seconds=10)
+    half = f"from hexmap.cli.plan.search import compile_half; compile_half({len(query.start)}, {free})"
+    process = subprocess.Popen(
+        [sys.executable, "-c", half], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield
+        if free:
+            compile_half(len(query.start), False)
+        process.wait()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def compile_half(dim: int, search: bool) -> None:
+    """Compile the searches of the any-angle planner, or else what makes paths taut, on a handful of cells."""
+    import numpy as np
+
+    from hexmap.graph.lattice_graph import LatticeGraph
+    from hexmap.lattice.lattice import Lattice
+    from planners import astar
+    from planners.any_angle.theta_star import Effort, make_view, search_path, tightened
+
+    graph = LatticeGraph.from_states(Lattice.named(f"Z{dim}"), [0] * dim, np.ones((3,) * dim, np.uint8))
+    a, b = graph.index_to_flat(np.array([[0] * dim, [2] * dim])).tolist()
+    if search:
+        search_path(graph, a, b, tighten=False)
+        astar(graph, [0] * dim, [2] * dim)
+    else:
+        tightened(graph, make_view(graph), np.array([a, b]), np.zeros(len(Effort._fields), np.int64))
 
 
 def _warm_up(run: Callable[[LatticeGraph, Any, Any], PlannedPath], graph: LatticeGraph) -> None:
@@ -86,7 +141,9 @@ def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
         Planner.any_angle: _theta_kernels.search,
         Planner.canonical: _canonical_kernels.search,
     }
-    return [own[query.planner], *([_anyangle_kernels.farthest] if query.shortcut else [])]
+    assert query.planner is not None
+    straightens = _anyangle_kernels.tighten if graph.terrain is None else _anyangle_kernels.sights
+    return [own[query.planner], *([straightens] if query.shortcut else [])]
 
 
 def _why(

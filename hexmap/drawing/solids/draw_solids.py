@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError, MissingDependencyError
+from hexmap.drawing.extent import FIT
 from hexmap.drawing.figure_layout import FAINT, metres_text, round_length
 from hexmap.drawing.solids.lines import SeenLine, add_line_legend, positions_in_space
 from hexmap.drawing.solids.mesh import Mesh, check_spatial, exposed_faces, height_colours, height_range, mesh_of_cells
@@ -123,7 +124,7 @@ def draw_solids(
     *,
     view: tuple[float, float] = (-120.0, 35.0),
     cut: Cut | Literal["auto"] | None = "auto",
-    fit: float = 0.995,
+    fit: float = FIT,
     title: str | None = None,
     size: tuple[int, int] = (1600, 1200),
     dpi: float = 200.0,
