@@ -37,6 +37,8 @@ __all__ = ["Localiser"]
 
 # Metres that no robot drives between two scans: a damaged number or a reset of the odometry.
 _FARTHEST_JUMP = 100.0
+# Standard deviations from the prediction within which a scan is looked for at a place: 1 in 400 is outside by chance.
+_GATE = 3.0
 # How many times as wide the window is where the scan does not fit within it.
 _WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
@@ -55,10 +57,13 @@ class _Place:
 
     Attributes:
         pose: T_map_sensor after the last scan.
+        covariance: of ``pose``.
+        anchor: pose and covariance at the last scan that was new evidence: what odometry is counted from.
         motion: of the sensor between the last two scans.
         settled: log-likelihood of the scans that were new evidence, relative to other places.
         latest: of the last scan, which the next one replaces if the robot has not moved.
-        way: motion of the sensor since ``settled`` last grew, as predicted: matches jump about in a corridor.
+        way: motion of the sensor since the anchor by odometry: matches jump about in a corridor.
+        driven: metres and radians of the path since the anchor.
         judged: what the scans said of this place, one for each that was new evidence.
         match: of the last scan, if anything coincided.
         tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
@@ -66,13 +71,32 @@ class _Place:
     """
 
     pose: Pose
+    covariance: FloatArray
+    anchor: tuple[Pose, FloatArray]
     way: Pose
     motion: Pose
+    driven: tuple[float, float] = (0.0, 0.0)
     settled: float = 0.0
     latest: float = 0.0
     judged: list[Evidence] = field(default_factory=list)
     match: Match | None = None
     tracked: bool = False
+
+    @classmethod
+    def at(cls, pose: Pose, covariance: FloatArray, *, settled: float = 0.0, tracked: bool = False) -> _Place:
+        """Return a place that begins here."""
+        still = Pose.identity(pose.dim)
+        return cls(pose, covariance, (pose, covariance), still, still, settled=settled, tracked=tracked)
+
+    def begin_anew(self) -> None:
+        """Count odometry from here on."""
+        self.anchor, self.way, self.driven = (self.pose, self.covariance), Pose.identity(self.pose.dim), (0.0, 0.0)
+
+    def move(self, step: Pose) -> None:
+        """Add a motion of the sensor to what was driven since the anchor."""
+        self.way = self.way @ step
+        metres, radians = self.driven
+        self.driven = metres + float(np.linalg.norm(step.translation)), radians + step.angle
 
     @property
     def likelihood(self) -> float:
@@ -148,7 +172,7 @@ class Localiser:
         self._fruitless = 0
         if start is not None:
             sensor = start @ self.mount
-            self._places = [_Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
+            self._places = [_Place.at(sensor, self._start_covariance(), tracked=True)]
             self._track_from(self._start_covariance())
 
     def add(self, event: Event) -> Estimate | None:
@@ -194,12 +218,38 @@ class Localiser:
         motion = before.inverse() @ self._T_odom_sensor
         return motion if float(np.linalg.norm(motion.translation)) <= _FARTHEST_JUMP else None
 
+    def _carry_on(
+        self, at: tuple[Pose, FloatArray], motion: Pose, driven: tuple[float, float], *, measured: bool
+    ) -> tuple[Pose, FloatArray]:
+        """Return pose and covariance after a motion, ``measured`` by odometry, along a path of metres and radians."""
+        s = self.settings
+        way, turn = driven
+        metres, radians = s.drift_metres + s.drift * way, s.drift_radians + s.drift * (turn + 0.2 * way)
+        if not measured:
+            metres, radians = max(metres, 0.25 * s.search_metres), max(radians, 0.25 * s.search_radians)
+        return carry_on(*at, motion, metres, radians)
+
     # ------------------------------------------------------------------ matching
 
     def _match_near(self, points: FloatArray, predicted: Pose, widened: float = 1.0) -> Match | None:
         """Return the best pose of the window around ``predicted`` (T_map_sensor), or of one so many times as wide."""
         s = self.settings
         metres, radians = s.search_metres * widened, min(s.search_radians * widened, math.pi)
+        region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
+        return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
+
+    def _match_within(self, points: FloatArray, predicted: Pose, P: FloatArray) -> Match | None:
+        """Return the best pose within what a prediction leaves open, at the most within the window.
+
+        A place is a place of the robot's path. In a window that is wider than the odometry errs, a pose slides along a
+        corridor from scan to scan to wherever the map is met best: the true one away from the truth, and a wrong one
+        to where it is not told from the truth.
+        """
+        s = self.settings
+        n, cell = self.dim, self.matcher.lattice.resolution
+        sigmas = np.sqrt(np.diag(P))
+        metres = np.clip(_GATE * sigmas[:n], cell, max(cell, s.search_metres))
+        radians = min(_GATE * float(sigmas[n:].max()), s.search_radians)
         region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
         return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
 
@@ -230,7 +280,8 @@ class Localiser:
         if meets(self._last_of(place), self.settings):
             apart = self.settings.apart
             place.settled = place.latest = 0.0
-            place.way = Pose.identity(self.dim)
+            place.covariance = self._covariance
+            place.begin_anew()
             self._places = [p for p in self._places if not is_same_place(p.pose, place.pose, apart)] + [place]
         self._waited = self._turned = 0.0
         self._settle_on(points)
@@ -241,22 +292,30 @@ class Localiser:
         """Carry all places on and match the scan at each; drop those that fall behind."""
         if len(points) == 0:
             for place in self._places:
-                place.pose = place.pose @ (motion or place.motion)
+                step = motion or place.motion
+                place.move(step)
+                place.pose = place.pose @ step
             return
         s = self.settings
         kept: list[_Place] = []
         moved = False
         for place in self._places:
-            step = motion or place.motion
-            place.way = place.way @ step
+            place.move(motion or place.motion)
             fresh = float(np.linalg.norm(place.way.translation)) > s.step_metres or place.way.angle > s.step_radians
             if fresh:
                 place.settled += place.latest
-                place.way = Pose.identity(self.dim)
                 moved = True
             before = place.pose
-            place.pose = predicted = before @ step
-            self._judge(place, points, self._match_near(points, predicted), fresh)
+            place.pose, place.covariance = self._carry_on(
+                place.anchor, place.way, place.driven, measured=motion is not None
+            )
+            match = self._match_within(points, place.pose, place.covariance)
+            if match is not None:
+                M = self._match_covariance(points, match)
+                place.pose, place.covariance = fuse(place.pose, place.covariance, match.pose, M)
+            self._judge(place, points, match, fresh)
+            if fresh:
+                place.begin_anew()
             if self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s)):
                 place.motion = before.inverse() @ place.pose
                 kept.append(place)
@@ -289,8 +348,11 @@ class Localiser:
         self._complete = found.complete or not found.candidates
         places = []
         for candidate in found.candidates:
-            place = _Place(candidate.pose, Pose.identity(self.dim), Pose.identity(self.dim), settled)
-            self._judge(place, points, self._match_near(points, candidate.pose), True)
+            match = self._match_near(points, candidate.pose)
+            if match is None:
+                continue
+            place = _Place.at(match.pose, self._match_covariance(points, match), settled=settled)
+            self._judge(place, points, match, True)
             if self._agrees(place):
                 places.append(place)
         return places
@@ -301,8 +363,6 @@ class Localiser:
         Scans from one spot are all alike: one that is not ``fresh`` replaces the one before it.
         """
         place.match = match
-        if match is not None:
-            place.pose = match.pose
         if not fresh and place.judged:
             place.judged.pop()
         place.judged.append(_evidence(points, match))
@@ -354,7 +414,7 @@ class Localiser:
         if alone and known and self._complete and best.match is not None and self._agrees(best):
             best.tracked = True
             self._places = [best]
-            self._track_from(self._match_covariance(points, best.match))
+            self._track_from(best.covariance)
 
     # ------------------------------------------------------------------ tracking
 
@@ -376,11 +436,8 @@ class Localiser:
         (place,) = self._places
         before = place.pose
         step = motion or place.motion
-        way = float(np.linalg.norm(step.translation))
-        metres, radians = s.drift_metres + s.drift * way, s.drift_radians + s.drift * (step.angle + 0.2 * way)
-        if motion is None:
-            metres, radians = max(metres, 0.25 * s.search_metres), max(radians, 0.25 * s.search_radians)
-        predicted, P = carry_on(place.pose, self._covariance, step, metres, radians)
+        driven = float(np.linalg.norm(step.translation)), step.angle
+        predicted, P = self._carry_on((place.pose, self._covariance), step, driven, measured=motion is not None)
         place.pose, self._covariance, place.match = predicted, P, None
         if len(points) == 0:
             return
