@@ -45,10 +45,12 @@ _WIDENED = 4.0
 _HOPELESS = 10.0
 # A search that found too many places is repeated after up to 2^3 steps.
 _MOST_DOUBLINGS = 3
-# One scan in e^3 = 20 shows what the map knows nothing of, people or an open door: no scan speaks louder than that
-# against a place, so that several must, at several spots, before it is out (p_rand of Thrun, Burgard and Fox,
-# "Probabilistic Robotics", 6.3).
+# One view in e^3 = 20 shows what the map knows nothing of, people or an open door: none speaks louder than that against
+# a place, so that several must before it is out (p_rand of Thrun, Burgard and Fox, "Probabilistic Robotics", 6.3).
 _LOUDEST = 3.0
+# Scans whose views overlap show the same people and the same open door: together they are one view. Half of a scan's
+# points lie within their median range; two such discs no longer overlap where so many of these ranges are between them.
+_VIEW = 2.0
 
 
 @dataclass(eq=False)
@@ -60,12 +62,15 @@ class _Place:
         covariance: of ``pose``.
         anchor: pose and covariance at the last scan that was new evidence: what odometry is counted from.
         motion: of the sensor between the last two scans.
-        settled: log-likelihood of the scans that were new evidence, relative to other places.
+        settled: log-likelihood of the views that are over, relative to other places.
+        view: of the scans of this view that were new evidence, and the metres driven since it began.
         latest: of the last scan, which the next one replaces if the robot has not moved.
         way: motion of the sensor since the anchor by odometry: matches jump about in a corridor.
         driven: metres and radians of the path since the anchor.
         judged: what the scans said of this place, one for each that was new evidence.
         match: of the last scan, if anything coincided.
+        fits: whether the last scans agree with the map here. Where they do not it competes on for a while: the map may
+            be wrong about the true place, and what is left when that is dropped is not the truth for being alone.
         tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
             answered again it must fit as well as any other.
     """
@@ -77,9 +82,11 @@ class _Place:
     motion: Pose
     driven: tuple[float, float] = (0.0, 0.0)
     settled: float = 0.0
+    view: tuple[float, float] = (0.0, 0.0)
     latest: float = 0.0
     judged: list[Evidence] = field(default_factory=list)
     match: Match | None = None
+    fits: bool = True
     tracked: bool = False
 
     @classmethod
@@ -101,7 +108,14 @@ class _Place:
     @property
     def likelihood(self) -> float:
         """Logarithm of how likely this place is, but for a constant."""
-        return self.settled + self.latest
+        return self.settled + max(-_LOUDEST, self.view[0] + self.latest)
+
+    def settle(self, view_metres: float) -> None:
+        """Take what the last scan said as said; the view is over when the robot has driven so many metres."""
+        said, metres = max(-_LOUDEST, self.view[0] + self.latest), self.view[1] + self.driven[0]
+        over = metres >= view_metres
+        self.settled, self.view = (self.settled + said, (0.0, 0.0)) if over else (self.settled, (said, metres))
+        self.latest = 0.0
 
 
 class Localiser:
@@ -280,6 +294,7 @@ class Localiser:
         if meets(self._last_of(place), self.settings):
             apart = self.settings.apart
             place.settled = place.latest = 0.0
+            place.view = (0.0, 0.0)
             place.covariance = self._covariance
             place.begin_anew()
             self._places = [p for p in self._places if not is_same_place(p.pose, place.pose, apart)] + [place]
@@ -297,13 +312,14 @@ class Localiser:
                 place.pose = place.pose @ step
             return
         s = self.settings
+        view_metres = _VIEW * float(np.median(np.sqrt((points**2).sum(axis=1))))
         kept: list[_Place] = []
         moved = False
         for place in self._places:
             place.move(motion or place.motion)
             fresh = float(np.linalg.norm(place.way.translation)) > s.step_metres or place.way.angle > s.step_radians
             if fresh:
-                place.settled += place.latest
+                place.settle(view_metres)
                 moved = True
             before = place.pose
             place.pose, place.covariance = self._carry_on(
@@ -316,15 +332,17 @@ class Localiser:
             self._judge(place, points, match, fresh)
             if fresh:
                 place.begin_anew()
-            if self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s)):
-                place.motion = before.inverse() @ place.pose
-                kept.append(place)
+            place.fits = self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s))
+            place.motion = before.inverse() @ place.pose
+            kept.append(place)
+        if not any(place.fits for place in kept):
+            kept = []
         waiting = self.settings.step_metres * 2.0**self._fruitless
         if kept and moved and self._waited >= waiting and not (self._complete and any(map(self._agrees, kept))):
             # There were more places than are carried on, or none agrees: those that fit this scan get their chance.
             # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last.
             self._waited = 0.0
-            found = self._newcomers(points, max(place.settled for place in kept))
+            found = self._newcomers(points, max(place.settled + place.view[0] for place in kept))
             self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
             kept += [new for new in found if not any(is_same_place(new.pose, old.pose, s.apart) for old in kept)]
         self._places = kept
@@ -386,7 +404,8 @@ class Localiser:
         share_of_beam = max(TEMPERATURE, 1.0 / len(points))
         chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
         for place, share in zip(self._places, shares, strict=True):
-            place.latest = max(-_LOUDEST, min(0.0, share - best + chance) / share_of_beam)
+            said = min(0.0, share - best + chance) / share_of_beam if place.fits else -_LOUDEST
+            place.latest = max(-_LOUDEST, said)
 
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
