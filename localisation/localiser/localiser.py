@@ -48,8 +48,8 @@ _MOST_DOUBLINGS = 3
 # One view in e^3 = 20 shows what the map knows nothing of, people or an open door: none speaks louder than that against
 # a place, so that several must before it is out (p_rand of Thrun, Burgard and Fox, "Probabilistic Robotics", 6.3).
 _LOUDEST = 3.0
-# Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a scan's
-# points lie within their median range, and two such discs share 39 % where their centres are one such range apart.
+# Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a
+# scan's points lie within their median range; two such discs share 39 % where their centres are one such range apart.
 _VIEW = 1.0
 
 

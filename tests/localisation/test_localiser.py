@@ -120,7 +120,7 @@ def test_two_equal_rooms_are_both_kept_until_the_robot_sees_what_tells_them_apar
     notch = [(1.0, 4.0, 1.0, 3.0), (11.0, 4.0, 11.0, 3.0)]
     cells = [*rectangle(*left), *rectangle(*right), *notch, *rectangle(4.6, 0.6, 5.2, 1.2)]
     # There and back, so that the pillar is seen along several metres: one view of it might be anything.
-    path = [(1.0, 1.0), (5.0, 2.5), (1.2, 2.4), (5.0, 2.5), (1.2, 2.4)]
+    path = [(1.0, 1.0), (5.0, 2.5), (1.2, 2.4), (5.0, 2.5)]
     building = boxes("twins", cells, path)
     world = map_of(drive(building, 1) + drive(boxes("twins", cells, [(x + 10.0, y) for x, y in path]), 1))
     moments = drive(building, 2)
@@ -251,6 +251,27 @@ def test_a_lift_to_a_floor_elsewhere_in_the_map_is_found_there() -> None:
     placed = [(e, m) for e, m in zip(estimates[5:], again[5:], strict=True) if e.pose is not None]
     assert placed and max(off(e, m.T_map_robot) for e, m in placed) < 0.1
     assert estimates[-1].state is TrackState.tracking
+
+
+def test_places_go_as_far_along_a_plain_corridor_as_the_wheels_say() -> None:
+    # Two niches alike at 8 and 20 m, then nothing but walls: the scans fit as well wherever a place might slide to.
+    along = np.arange(0.0, 40.0, 0.02)
+    in_niche = (np.abs(along - 8.0) < 0.4) | (np.abs(along - 20.0) < 0.4)
+    deep = np.where(in_niche, 1.6, 1.0)
+    ends = [(x, y) for x in (7.6, 8.4, 19.6, 20.4) for y in np.arange(1.0, 1.6, 0.02)]
+    cloud = np.concatenate([np.stack([along, -np.ones_like(along)], 1), np.stack([along, deep], 1), np.array(ends)])
+    lattice = Lattice.named("A2", 0.1)
+    inside = np.stack(np.meshgrid(np.arange(0.0, 40.0, 0.05), np.arange(-0.85, 0.85, 0.05)), -1).reshape(-1, 2)
+    world = States(VoxelList.from_points(cloud, lattice), VoxelList.from_points(inside, lattice))
+    localiser = Localiser(world)
+    for k in range(25):
+        true = Pose.planar(8.0 + 0.25 * k, 0.0, 0.0)
+        seen = true.inverse().apply(cloud[np.abs(cloud[:, 0] - true.x) < 3.0][::3])
+        # The wheels err by three in a hundred.
+        estimate = localiser.add(Scan(float(k), seen, odometry=Pose.planar(0.2575 * k, 0.0, 0.0)))
+        assert estimate is not None and estimate.state is TrackState.ambiguous
+    places = sorted(h.pose.x for h in estimate.hypotheses)
+    assert np.abs(np.array(places) - [14.0, 26.0]).max() < 0.6
 
 
 def test_in_space_the_same_code_finds_a_cloud() -> None:
