@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.evidence import Evidence, fits, meets
 from localisation.localiser.fusion import carry_on, fuse, move_point
+from localisation.localiser.place import LOUDEST, Place
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
 from localisation.matching.global_matcher import GlobalMatcher, thin
@@ -45,77 +45,9 @@ _WIDENED = 4.0
 _HOPELESS = 10.0
 # A search that found too many places is repeated after up to 2^3 steps.
 _MOST_DOUBLINGS = 3
-# One view in e^3 = 20 shows what the map knows nothing of, people or an open door: none speaks louder than that against
-# a place, so that several must before it is out (p_rand of Thrun, Burgard and Fox, "Probabilistic Robotics", 6.3).
-_LOUDEST = 3.0
 # Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a
 # scan's points lie within their median range; two such discs share 39 % where their centres are one such range apart.
 _VIEW = 1.0
-
-
-@dataclass(eq=False)
-class _Place:
-    """A pose that is carried on.
-
-    Attributes:
-        pose: T_map_sensor after the last scan.
-        covariance: of ``pose``.
-        anchor: pose and covariance at the last scan that was new evidence: what odometry is counted from.
-        motion: of the sensor between the last two scans.
-        settled: log-likelihood of the views that are over, relative to other places.
-        view: of the scans of this view that were new evidence, and the metres driven since it began.
-        latest: of the last scan, which the next one replaces if the robot has not moved.
-        way: motion of the sensor since the anchor by odometry: matches jump about in a corridor.
-        driven: metres and radians of the path since the anchor.
-        judged: what the scans said of this place, one for each that was new evidence.
-        match: of the last scan, if anything coincided.
-        fits: whether the last scans agree with the map here. Where they do not it competes on for a while: the map may
-            be wrong about the true place, and what is left when that is dropped is not the truth for being alone.
-        tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
-            answered again it must fit as well as any other.
-    """
-
-    pose: Pose
-    covariance: FloatArray
-    anchor: tuple[Pose, FloatArray]
-    way: Pose
-    motion: Pose
-    driven: tuple[float, float] = (0.0, 0.0)
-    settled: float = 0.0
-    view: tuple[float, float] = (0.0, 0.0)
-    latest: float = 0.0
-    judged: list[Evidence] = field(default_factory=list)
-    match: Match | None = None
-    fits: bool = True
-    tracked: bool = False
-
-    @classmethod
-    def at(cls, pose: Pose, covariance: FloatArray, *, settled: float = 0.0, tracked: bool = False) -> _Place:
-        """Return a place that begins here."""
-        still = Pose.identity(pose.dim)
-        return cls(pose, covariance, (pose, covariance), still, still, settled=settled, tracked=tracked)
-
-    def begin_anew(self) -> None:
-        """Count odometry from here on."""
-        self.anchor, self.way, self.driven = (self.pose, self.covariance), Pose.identity(self.pose.dim), (0.0, 0.0)
-
-    def move(self, step: Pose) -> None:
-        """Add a motion of the sensor to what was driven since the anchor."""
-        self.way = self.way @ step
-        metres, radians = self.driven
-        self.driven = metres + float(np.linalg.norm(step.translation)), radians + step.angle
-
-    @property
-    def likelihood(self) -> float:
-        """Logarithm of how likely this place is, but for a constant."""
-        return self.settled + max(-_LOUDEST, self.view[0] + self.latest)
-
-    def settle(self, view_metres: float) -> None:
-        """Take what the last scan said as said; the view is over when the robot has driven so many metres."""
-        said, metres = max(-_LOUDEST, self.view[0] + self.latest), self.view[1] + self.driven[0]
-        over = metres >= view_metres
-        self.settled, self.view = (self.settled + said, (0.0, 0.0)) if over else (self.settled, (said, metres))
-        self.latest = 0.0
 
 
 class Localiser:
@@ -174,7 +106,7 @@ class Localiser:
             raise ArgumentError(f"the map is of dimension {self.dim}; mount and start must be too")
         self.state = TrackState.lost
         self.times_lost = 0
-        self._places: list[_Place] = []
+        self._places: list[Place] = []
         self._complete = True
         self._covariance: FloatArray = np.eye(0)
         self._recent: deque[tuple[Evidence, bool]] = deque(maxlen=self.settings.patience)
@@ -186,7 +118,7 @@ class Localiser:
         self._fruitless = 0
         if start is not None:
             sensor = start @ self.mount
-            self._places = [_Place.at(sensor, self._start_covariance(), tracked=True)]
+            self._places = [Place.at(sensor, self._start_covariance(), tracked=True)]
             self._track_from(self._start_covariance())
 
     def add(self, event: Event) -> Estimate | None:
@@ -284,7 +216,7 @@ class Localiser:
         self._places = self._newcomers(points, 0.0)
         self._settle_on(points)
 
-    def _doubt(self, place: _Place, points: FloatArray) -> None:
+    def _doubt(self, place: Place, points: FloatArray) -> None:
         """Give up a pose that was tracked: it becomes one of the places that compete, if its points meet the map.
 
         Doors open and walls move, and the true place, thrown away for that, would leave a wrong one without a rival.
@@ -313,7 +245,7 @@ class Localiser:
             return
         s = self.settings
         view_metres = _VIEW * float(np.median(np.sqrt((points**2).sum(axis=1))))
-        kept: list[_Place] = []
+        kept: list[Place] = []
         moved = False
         for place in self._places:
             place.move(motion or place.motion)
@@ -348,7 +280,7 @@ class Localiser:
         self._places = kept
         self._settle_on(points)
 
-    def _newcomers(self, points: FloatArray, settled: float) -> list[_Place]:
+    def _newcomers(self, points: FloatArray, settled: float) -> list[Place]:
         """Search the whole map, and return the places found; nothing yet speaks against them."""
         s = self.settings
         beams = Evidence.of(len(points), 0.0, 0.0).beams
@@ -369,13 +301,13 @@ class Localiser:
             match = self._match_near(points, candidate.pose)
             if match is None:
                 continue
-            place = _Place.at(match.pose, self._match_covariance(points, match), settled=settled)
+            place = Place.at(match.pose, self._match_covariance(points, match), settled=settled)
             self._judge(place, points, match, True)
             if self._agrees(place):
                 places.append(place)
         return places
 
-    def _judge(self, place: _Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
+    def _judge(self, place: Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
         """Take a match into account at a place.
 
         Scans from one spot are all alike: one that is not ``fresh`` replaces the one before it.
@@ -385,10 +317,10 @@ class Localiser:
             place.judged.pop()
         place.judged.append(_evidence(points, match))
 
-    def _last_of(self, place: _Place) -> list[Evidence]:
+    def _last_of(self, place: Place) -> list[Evidence]:
         return place.judged[-self.settings.patience :]
 
-    def _agrees(self, place: _Place, *, loosely: bool = False) -> bool:
+    def _agrees(self, place: Place, *, loosely: bool = False) -> bool:
         """Tell whether the last scans agree with the map at a place, or agree well enough not to drop it."""
         return fits(self._last_of(place), self.settings, tracked=loosely)
 
@@ -404,15 +336,15 @@ class Localiser:
         share_of_beam = max(TEMPERATURE, 1.0 / len(points))
         chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
         for place, share in zip(self._places, shares, strict=True):
-            said = min(0.0, share - best + chance) / share_of_beam if place.fits else -_LOUDEST
-            place.latest = max(-_LOUDEST, said)
+            said = min(0.0, share - best + chance) / share_of_beam if place.fits else -LOUDEST
+            place.latest = max(-LOUDEST, said)
 
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
         s = self.settings
         self._weigh(points)
         order = sorted(range(len(self._places)), key=lambda k: (-self._places[k].likelihood, k))
-        kept: list[_Place] = []
+        kept: list[Place] = []
         for place in (self._places[k] for k in order):
             if kept and kept[0].likelihood - place.likelihood > _HOPELESS:
                 break
