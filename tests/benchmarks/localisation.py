@@ -395,6 +395,9 @@ def others(cache: Path, sizes: Sizes) -> None:
             ("fraction, contradicted, margin", (0, 1, 2)),
         )
     }  # fmt: skip
+    # A limit below the fraction of every right answer accepts nothing more that is right.
+    for _, limits in rules.values():
+        limits[0] = max(float(limits[0]), float(answers[right][:, 0].min()))
     least = min(float(limits[0]) for _, limits in rules.values())
     later = [look(matcher, p, Pose.identity(2), time_limit=sizes.limit, least=least) for p in fresh]
     unproved = sum(t.cpu >= sizes.limit for t in later)
