@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.evidence import Evidence, fits, meets
 from localisation.localiser.fusion import carry_on, fuse, move_point
+from localisation.localiser.place import LOUDEST, Place
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
 from localisation.matching.global_matcher import GlobalMatcher, thin
@@ -37,47 +37,17 @@ __all__ = ["Localiser"]
 
 # Metres that no robot drives between two scans: a damaged number or a reset of the odometry.
 _FARTHEST_JUMP = 100.0
+# Standard deviations from the prediction within which a scan is looked for at a place: 1 in 400 is outside by chance.
+_GATE = 3.0
 # How many times as wide the window is where the scan does not fit within it.
 _WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
 _HOPELESS = 10.0
 # A search that found too many places is repeated after up to 2^3 steps.
 _MOST_DOUBLINGS = 3
-# One scan in e^3 = 20 shows what the map knows nothing of, people or an open door: no scan speaks louder than that
-# against a place, so that several must, at several spots, before it is out (p_rand of Thrun, Burgard and Fox,
-# "Probabilistic Robotics", 6.3).
-_LOUDEST = 3.0
-
-
-@dataclass(eq=False)
-class _Place:
-    """A pose that is carried on.
-
-    Attributes:
-        pose: T_map_sensor after the last scan.
-        motion: of the sensor between the last two scans.
-        settled: log-likelihood of the scans that were new evidence, relative to other places.
-        latest: of the last scan, which the next one replaces if the robot has not moved.
-        way: motion of the sensor since ``settled`` last grew, as predicted: matches jump about in a corridor.
-        judged: what the scans said of this place, one for each that was new evidence.
-        match: of the last scan, if anything coincided.
-        tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
-            answered again it must fit as well as any other.
-    """
-
-    pose: Pose
-    way: Pose
-    motion: Pose
-    settled: float = 0.0
-    latest: float = 0.0
-    judged: list[Evidence] = field(default_factory=list)
-    match: Match | None = None
-    tracked: bool = False
-
-    @property
-    def likelihood(self) -> float:
-        """Logarithm of how likely this place is, but for a constant."""
-        return self.settled + self.latest
+# Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a
+# scan's points lie within their median range; two such discs share 39 % where their centres are one such range apart.
+_VIEW = 1.0
 
 
 class Localiser:
@@ -136,7 +106,7 @@ class Localiser:
             raise ArgumentError(f"the map is of dimension {self.dim}; mount and start must be too")
         self.state = TrackState.lost
         self.times_lost = 0
-        self._places: list[_Place] = []
+        self._places: list[Place] = []
         self._complete = True
         self._covariance: FloatArray = np.eye(0)
         self._recent: deque[tuple[Evidence, bool]] = deque(maxlen=self.settings.patience)
@@ -148,7 +118,7 @@ class Localiser:
         self._fruitless = 0
         if start is not None:
             sensor = start @ self.mount
-            self._places = [_Place(sensor, Pose.identity(self.dim), Pose.identity(self.dim), tracked=True)]
+            self._places = [Place.at(sensor, self._start_covariance(), tracked=True)]
             self._track_from(self._start_covariance())
 
     def add(self, event: Event) -> Estimate | None:
@@ -198,12 +168,38 @@ class Localiser:
         motion = before.inverse() @ self._T_odom_sensor
         return motion if float(np.linalg.norm(motion.translation)) <= _FARTHEST_JUMP else None
 
+    def _carry_on(
+        self, at: tuple[Pose, FloatArray], motion: Pose, driven: tuple[float, float], *, measured: bool
+    ) -> tuple[Pose, FloatArray]:
+        """Return pose and covariance after a motion, ``measured`` by odometry, along a path of metres and radians."""
+        s = self.settings
+        way, turn = driven
+        metres, radians = s.drift_metres + s.drift * way, s.drift_radians + s.drift * (turn + 0.2 * way)
+        if not measured:
+            metres, radians = max(metres, 0.25 * s.search_metres), max(radians, 0.25 * s.search_radians)
+        return carry_on(*at, motion, metres, radians)
+
     # ------------------------------------------------------------------ matching
 
     def _match_near(self, points: FloatArray, predicted: Pose, widened: float = 1.0) -> Match | None:
         """Return the best pose of the window around ``predicted`` (T_map_sensor), or of one so many times as wide."""
         s = self.settings
         metres, radians = s.search_metres * widened, min(s.search_radians * widened, math.pi)
+        region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
+        return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
+
+    def _match_within(self, points: FloatArray, predicted: Pose, P: FloatArray) -> Match | None:
+        """Return the best pose within what a prediction leaves open, at the most within the window.
+
+        A place is a place of the robot's path. In a window that is wider than the odometry errs, a pose slides along a
+        corridor from scan to scan to wherever the map is met best: the true one away from the truth, and a wrong one
+        to where it is not told from the truth.
+        """
+        s = self.settings
+        n, cell = self.dim, self.matcher.lattice.resolution
+        sigmas = np.sqrt(np.diag(P))
+        metres = np.clip(_GATE * sigmas[:n], cell, max(cell, s.search_metres))
+        radians = min(_GATE * float(sigmas[n:].max()), s.search_radians)
         region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
         return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
 
@@ -224,7 +220,7 @@ class Localiser:
         self._places = self._newcomers(points, 0.0)
         self._settle_on(points)
 
-    def _doubt(self, place: _Place, points: FloatArray) -> None:
+    def _doubt(self, place: Place, points: FloatArray) -> None:
         """Give up a pose that was tracked: it becomes one of the places that compete, if its points meet the map.
 
         Doors open and walls move, and the true place, thrown away for that, would leave a wrong one without a rival.
@@ -234,7 +230,9 @@ class Localiser:
         if meets(self._last_of(place), self.settings):
             apart = self.settings.apart
             place.settled = place.latest = 0.0
-            place.way = Pose.identity(self.dim)
+            place.view = (0.0, 0.0)
+            place.covariance = self._covariance
+            place.begin_anew()
             self._places = [p for p in self._places if not is_same_place(p.pose, place.pose, apart)] + [place]
         self._waited = self._turned = 0.0
         self._settle_on(points)
@@ -245,37 +243,48 @@ class Localiser:
         """Carry all places on and match the scan at each; drop those that fall behind."""
         if len(points) == 0:
             for place in self._places:
-                place.pose = place.pose @ (motion or place.motion)
+                step = motion or place.motion
+                place.move(step)
+                place.pose = place.pose @ step
             return
         s = self.settings
-        kept: list[_Place] = []
+        view_metres = _VIEW * float(np.median(np.sqrt((points**2).sum(axis=1))))
+        kept: list[Place] = []
         moved = False
         for place in self._places:
-            step = motion or place.motion
-            place.way = place.way @ step
+            place.move(motion or place.motion)
             fresh = float(np.linalg.norm(place.way.translation)) > s.step_metres or place.way.angle > s.step_radians
             if fresh:
-                place.settled += place.latest
-                place.way = Pose.identity(self.dim)
+                place.settle(view_metres)
                 moved = True
             before = place.pose
-            place.pose = predicted = before @ step
-            self._judge(place, points, self._match_near(points, predicted), fresh)
-            if self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s)):
-                place.motion = before.inverse() @ place.pose
-                kept.append(place)
+            place.pose, place.covariance = self._carry_on(
+                place.anchor, place.way, place.driven, measured=motion is not None
+            )
+            match = self._match_within(points, place.pose, place.covariance)
+            if match is not None:
+                M = self._match_covariance(points, match)
+                place.pose, place.covariance = fuse(place.pose, place.covariance, match.pose, M)
+            self._judge(place, points, match, fresh)
+            if fresh:
+                place.begin_anew()
+            place.fits = self._agrees(place, loosely=True) or (place.tracked and meets(self._last_of(place), s))
+            place.motion = before.inverse() @ place.pose
+            kept.append(place)
+        if not any(place.fits for place in kept):
+            kept = []
         waiting = self.settings.step_metres * 2.0**self._fruitless
         if kept and moved and self._waited >= waiting and not (self._complete and any(map(self._agrees, kept))):
             # There were more places than are carried on, or none agrees: those that fit this scan get their chance.
             # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last.
             self._waited = 0.0
-            found = self._newcomers(points, max(place.settled for place in kept))
+            found = self._newcomers(points, max(place.settled + place.view[0] for place in kept))
             self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
             kept += [new for new in found if not any(is_same_place(new.pose, old.pose, s.apart) for old in kept)]
         self._places = kept
         self._settle_on(points)
 
-    def _newcomers(self, points: FloatArray, settled: float) -> list[_Place]:
+    def _newcomers(self, points: FloatArray, settled: float) -> list[Place]:
         """Search the whole map, and return the places found; nothing yet speaks against them."""
         s = self.settings
         beams = Evidence.of(len(points), 0.0, 0.0).beams
@@ -293,28 +302,29 @@ class Localiser:
         self._complete = found.complete or not found.candidates
         places = []
         for candidate in found.candidates:
-            place = _Place(candidate.pose, Pose.identity(self.dim), Pose.identity(self.dim), settled)
-            self._judge(place, points, self._match_near(points, candidate.pose), True)
+            match = self._match_near(points, candidate.pose)
+            if match is None:
+                continue
+            place = Place.at(match.pose, self._match_covariance(points, match), settled=settled)
+            self._judge(place, points, match, True)
             if self._agrees(place):
                 places.append(place)
         return places
 
-    def _judge(self, place: _Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
+    def _judge(self, place: Place, points: FloatArray, match: Match | None, fresh: bool) -> None:
         """Take a match into account at a place.
 
         Scans from one spot are all alike: one that is not ``fresh`` replaces the one before it.
         """
         place.match = match
-        if match is not None:
-            place.pose = match.pose
         if not fresh and place.judged:
             place.judged.pop()
         place.judged.append(_evidence(points, match))
 
-    def _last_of(self, place: _Place) -> list[Evidence]:
+    def _last_of(self, place: Place) -> list[Evidence]:
         return place.judged[-self.settings.patience :]
 
-    def _agrees(self, place: _Place, *, loosely: bool = False) -> bool:
+    def _agrees(self, place: Place, *, loosely: bool = False) -> bool:
         """Tell whether the last scans agree with the map at a place, or agree well enough not to drop it."""
         return fits(self._last_of(place), self.settings, tracked=loosely)
 
@@ -330,14 +340,15 @@ class Localiser:
         share_of_beam = max(TEMPERATURE, 1.0 / len(points))
         chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
         for place, share in zip(self._places, shares, strict=True):
-            place.latest = max(-_LOUDEST, min(0.0, share - best + chance) / share_of_beam)
+            said = min(0.0, share - best + chance) / share_of_beam if place.fits else -LOUDEST
+            place.latest = max(-LOUDEST, said)
 
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
         s = self.settings
         self._weigh(points)
         order = sorted(range(len(self._places)), key=lambda k: (-self._places[k].likelihood, k))
-        kept: list[_Place] = []
+        kept: list[Place] = []
         for place in (self._places[k] for k in order):
             if kept and kept[0].likelihood - place.likelihood > _HOPELESS:
                 break
@@ -358,7 +369,7 @@ class Localiser:
         if alone and known and self._complete and best.match is not None and self._agrees(best):
             best.tracked = True
             self._places = [best]
-            self._track_from(self._match_covariance(points, best.match))
+            self._track_from(best.covariance)
 
     # ------------------------------------------------------------------ tracking
 
@@ -380,11 +391,8 @@ class Localiser:
         (place,) = self._places
         before = place.pose
         step = motion or place.motion
-        way = float(np.linalg.norm(step.translation))
-        metres, radians = s.drift_metres + s.drift * way, s.drift_radians + s.drift * (step.angle + 0.2 * way)
-        if motion is None:
-            metres, radians = max(metres, 0.25 * s.search_metres), max(radians, 0.25 * s.search_radians)
-        predicted, P = carry_on(place.pose, self._covariance, step, metres, radians)
+        driven = float(np.linalg.norm(step.translation)), step.angle
+        predicted, P = self._carry_on((place.pose, self._covariance), step, driven, measured=motion is not None)
         place.pose, self._covariance, place.match = predicted, P, None
         if len(points) == 0:
             return

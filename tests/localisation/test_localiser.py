@@ -119,21 +119,23 @@ def test_two_equal_rooms_are_both_kept_until_the_robot_sees_what_tells_them_apar
     left, right = (0.0, 0.0, 6.0, 4.0), (10.0, 0.0, 16.0, 4.0)
     notch = [(1.0, 4.0, 1.0, 3.0), (11.0, 4.0, 11.0, 3.0)]
     cells = [*rectangle(*left), *rectangle(*right), *notch, *rectangle(4.6, 0.6, 5.2, 1.2)]
-    building = boxes("twins", cells, [(1.0, 1.0), (5.0, 2.5)])
-    world = map_of(drive(building, 1) + drive(boxes("twins", cells, [(11.0, 1.0), (15.0, 2.5)]), 1))
+    # There and back, so that the pillar is seen along several metres: one view of it might be anything.
+    path = [(1.0, 1.0), (5.0, 2.5), (1.2, 2.4), (5.0, 2.5)]
+    building = boxes("twins", cells, path)
+    world = map_of(drive(building, 1) + drive(boxes("twins", cells, [(x + 10.0, y) for x, y in path]), 1))
     moments = drive(building, 2)
-    scans = []
+    scans, half_way = [], 21
     for k, m in enumerate(moments):
         p = m.event.points
-        # Until it is half way the pillar is hidden from the robot.
+        # Until it is half way across the pillar is hidden from the robot.
         world_points = m.T_map_robot.apply(p)
-        hidden = (world_points[:, 0] > 3.5) & (world_points[:, 1] < 1.6) & (k < len(moments) // 2)
+        hidden = (world_points[:, 0] > 3.5) & (world_points[:, 1] < 1.6) & (k < half_way)
         scans.append(Scan(m.event.stamp, p[~hidden], odometry=m.event.odometry))
     estimates = run(Localiser(world), scans)
-    half = estimates[len(moments) // 2 - 1]
-    assert half.state is TrackState.ambiguous and len(half.hypotheses) == 2 and half.pose is None
-    apart = half.hypotheses[0].pose.inverse() @ half.hypotheses[1].pose
-    assert abs(np.linalg.norm(apart.translation) - 10.0) < 0.2
+    half = estimates[half_way - 1]
+    assert half.state is TrackState.ambiguous and half.pose is None
+    best, *others = (h.pose.translation for h in half.hypotheses)
+    assert any(abs(math.dist(best, other) - 10.0) < 0.2 for other in others)
     assert all(h.score > 0 and h.weight > 0.0 for h in half.hypotheses)
     assert estimates[-1].state is TrackState.tracking and off(estimates[-1], moments[-1].T_map_robot) < 0.1
 
@@ -220,7 +222,7 @@ def floors() -> tuple[list[SimulatedEvent], list[SimulatedEvent], list[Simulated
     """A drive on the lower floor, another one there, and one on the upper floor, drawn 40 m beside it."""
     castle = make_building("castle")
     up = Building("upper floor", castle.walls + np.array([40.0, 0.0]), castle.waypoints + np.array([40.0, 0.0]))
-    return drive(make_building("room"), 1), drive(make_building("room"), 2)[60:90], drive(up, 3, duration=16.0)
+    return drive(make_building("room"), 1), drive(make_building("room"), 2)[60:90], drive(up, 3, duration=32.0)
 
 
 def test_a_lift_to_a_floor_that_is_not_in_the_map_is_noticed() -> None:
@@ -251,6 +253,27 @@ def test_a_lift_to_a_floor_elsewhere_in_the_map_is_found_there() -> None:
     assert estimates[-1].state is TrackState.tracking
 
 
+def test_places_go_as_far_along_a_plain_corridor_as_the_wheels_say() -> None:
+    # Two niches alike at 8 and 20 m, then nothing but walls: the scans fit as well wherever a place might slide to.
+    along = np.arange(0.0, 40.0, 0.02)
+    in_niche = (np.abs(along - 8.0) < 0.4) | (np.abs(along - 20.0) < 0.4)
+    deep = np.where(in_niche, 1.6, 1.0)
+    ends = [(x, y) for x in (7.6, 8.4, 19.6, 20.4) for y in np.arange(1.0, 1.6, 0.02)]
+    cloud = np.concatenate([np.stack([along, -np.ones_like(along)], 1), np.stack([along, deep], 1), np.array(ends)])
+    lattice = Lattice.named("A2", 0.1)
+    inside = np.stack(np.meshgrid(np.arange(0.0, 40.0, 0.05), np.arange(-0.85, 0.85, 0.05)), -1).reshape(-1, 2)
+    world = States(VoxelList.from_points(cloud, lattice), VoxelList.from_points(inside, lattice))
+    localiser = Localiser(world)
+    for k in range(25):
+        true = Pose.planar(8.0 + 0.25 * k, 0.0, 0.0)
+        seen = true.inverse().apply(cloud[np.abs(cloud[:, 0] - true.x) < 3.0][::3])
+        # The wheels err by three in a hundred.
+        estimate = localiser.add(Scan(float(k), seen, odometry=Pose.planar(0.2575 * k, 0.0, 0.0)))
+        assert estimate is not None and estimate.state is TrackState.ambiguous
+    places = sorted(h.pose.x for h in estimate.hypotheses)
+    assert np.abs(np.array(places) - [14.0, 26.0]).max() < 0.6
+
+
 def test_in_space_the_same_code_finds_a_cloud() -> None:
     rng = np.random.default_rng(3)
     walls = [rng.uniform([0, 0, 0], [8, 6, 3], (1500, 3)) for _ in range(4)]
@@ -261,12 +284,16 @@ def test_in_space_the_same_code_finds_a_cloud() -> None:
     occupied = VoxelList.from_points(cloud, lattice)
     free = VoxelList.from_points(rng.uniform([0.5, 0.5, 0.5], [7.5, 5.5, 2.0], (20_000, 3)), lattice)
     localiser = Localiser(States(occupied, free), LocaliserSettings(contradicted=0.3, search_metres=0.5))
-    for k in range(8):
+    estimate = None
+    for k in range(40):
         c, s = math.cos(0.7 + 0.1 * k), math.sin(0.7 + 0.1 * k)
-        truth = Pose([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], [4.0 + 0.3 * k, 3.0, 1.2])
+        at = [4.5 + 1.5 * math.sin(0.2 * k), 3.0 + 1.5 * math.cos(0.2 * k), 1.2]
+        truth = Pose([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], at)
         seen = cloud[rng.choice(len(cloud), 400, replace=False)]
         estimate = localiser.add(Scan(float(k), truth.inverse().apply(seen)))
-    assert estimate is not None and estimate.state is TrackState.tracking
+        if estimate is not None and estimate.state is TrackState.tracking:
+            break
+    assert estimate is not None and estimate.pose is not None
     assert estimate.pose.is_close(truth, metres=0.15, radians=0.05) and estimate.covariance.shape == (6, 6)
 
 

@@ -1,0 +1,83 @@
+"""A place where the robot may be, carried on while it is not clear which of several is true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hexmap.base.arrays import FloatArray
+from hexmap.poses.pose import Pose
+from localisation.localiser.evidence import Evidence
+from localisation.matching.match import Match
+
+__all__ = ["LOUDEST", "Place"]
+
+# One view in e^3 = 20 shows what the map knows nothing of, people or an open door: none speaks louder than that against
+# a place, so that several must before it is out (p_rand of Thrun, Burgard and Fox, "Probabilistic Robotics", 6.3).
+LOUDEST = 3.0
+
+
+@dataclass(eq=False)
+class Place:
+    """A pose that is carried on.
+
+    Attributes:
+        pose: T_map_sensor after the last scan.
+        covariance: of ``pose``.
+        anchor: pose and covariance at the last scan that was new evidence: what odometry is counted from.
+        motion: of the sensor between the last two scans.
+        settled: log-likelihood of the views that are over, relative to other places.
+        view: of the scans of this view that were new evidence, and the metres driven since it began.
+        latest: of the last scan, which the next one replaces if the robot has not moved.
+        way: motion of the sensor since the anchor by odometry: matches jump about in a corridor.
+        driven: metres and radians of the path since the anchor.
+        judged: what the scans said of this place, one for each that was new evidence.
+        match: of the last scan, if anything coincided.
+        fits: whether the last scans agree with the map here. Where they do not it competes on for a while: the map may
+            be wrong about the true place, and what is left when that is dropped is not the truth for being alone.
+        tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
+            answered again it must fit as well as any other.
+    """
+
+    pose: Pose
+    covariance: FloatArray
+    anchor: tuple[Pose, FloatArray]
+    way: Pose
+    motion: Pose
+    driven: tuple[float, float] = (0.0, 0.0)
+    settled: float = 0.0
+    view: tuple[float, float] = (0.0, 0.0)
+    latest: float = 0.0
+    judged: list[Evidence] = field(default_factory=list)
+    match: Match | None = None
+    fits: bool = True
+    tracked: bool = False
+
+    @classmethod
+    def at(cls, pose: Pose, covariance: FloatArray, *, settled: float = 0.0, tracked: bool = False) -> Place:
+        """Return a place that begins here."""
+        still = Pose.identity(pose.dim)
+        return cls(pose, covariance, (pose, covariance), still, still, settled=settled, tracked=tracked)
+
+    def begin_anew(self) -> None:
+        """Count odometry from here on."""
+        self.anchor, self.way, self.driven = (self.pose, self.covariance), Pose.identity(self.pose.dim), (0.0, 0.0)
+
+    def move(self, step: Pose) -> None:
+        """Add a motion of the sensor to what was driven since the anchor."""
+        self.way = self.way @ step
+        metres, radians = self.driven
+        self.driven = metres + float(np.linalg.norm(step.translation)), radians + step.angle
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of how likely this place is, but for a constant."""
+        return self.settled + max(-LOUDEST, self.view[0] + self.latest)
+
+    def settle(self, view_metres: float) -> None:
+        """Take what the last scan said as said; the view is over when the robot has driven so many metres."""
+        said, metres = max(-LOUDEST, self.view[0] + self.latest), self.view[1] + self.driven[0]
+        over = metres >= view_metres
+        self.settled, self.view = (self.settled + said, (0.0, 0.0)) if over else (self.settled, (said, metres))
+        self.latest = 0.0
