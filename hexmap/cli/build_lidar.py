@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.console import first_run_note, mount_words, progress_line, say, warn, wrote
 
 if TYPE_CHECKING:
     from localisation.lidar_settings import LidarSettings
@@ -85,7 +85,7 @@ def build_lidar(
         f"{len(result.map.levels)} levels, {len(result.map.levels[0].hits)} cells hit, {result.map.lattice.title}",
     )
     if outputs.trajectory is not None:
-        wrote(outputs.trajectory, "poses of the sensor at the scans' stamps, TUM")
+        wrote(outputs.trajectory, f"poses of {source.poses_of} at the scans' stamps, TUM")
     if result.slam is not None:
         _write_loops(result, outputs)
     if outputs.picture is not None:
@@ -100,6 +100,8 @@ def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
 
     for text in result.warnings:
         warn(text)
+    if source.mount is not None:
+        say(f"the LiDAR on {source.poses_of}: {mount_words(source.mount)}")
     how = "given poses"
     if result.slam is not None:
         how = "nothing to match"

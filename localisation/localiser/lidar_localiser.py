@@ -33,6 +33,7 @@ from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
 from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry, surface_lattice
+from localisation.slam import spatial
 from localisation.slam.lidar_loops import drawn_covariance
 
 __all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_csv_line"]
@@ -99,14 +100,16 @@ class LidarLocaliser:
         *,
         start: tuple[float, float, float] | None = None,
         time_limit: float | None = None,
+        mount: Pose | None = None,
     ) -> None:
         """Take a map.
 
         Args:
             states: its occupied and free cells.
             settings: of the LiDAR: ranges; lattice and resolution are the map's.
-            start: x, y (metres) and yaw (radians) of the sensor at the first scan, where they are known.
+            start: x, y (metres) and yaw (radians) of the robot at the first scan, where they are known.
             time_limit: seconds that a search may take; what it has not finished by then is no answer.
+            mount: T_robot_sensor: estimates are those of the robot then; None: of the sensor.
 
         Raises:
             ArgumentError: a map of the plane, or without an occupied cell.
@@ -119,6 +122,7 @@ class LidarLocaliser:
             raise ArgumentError("no cell of the map is occupied, nothing can be found in it")
         self._states, self._settings = states, settings or LidarSettings()
         self._start, self._time_limit = start, time_limit
+        self._mount = mount or Pose.identity(3)
         self._odometry: LidarOdometry | None = None
         self._surfaces: SurfaceMap | None = None
         self._bad = 0
@@ -196,14 +200,20 @@ class LidarLocaliser:
         return self._find(scan)
 
     def _answer(self, scan: Scan, place: _Place, total: int) -> Estimate:
-        covariance = drawn_covariance(place.drawn)
+        pose = self._of_robot(place.pose)
+        A = spatial.adjoint(spatial.of_pose(self._mount))
         turn = np.zeros((6, 6))
-        turn[:3, :3] = turn[3:, 3:] = place.pose.rotation
+        turn[:3, :3] = turn[3:, 3:] = pose.rotation
+        turn = turn @ A
         score = round(place.met * total)
         return Estimate(
-            scan.stamp, scan.line, TrackState.tracking, place.pose, turn @ covariance @ turn.T,
-            [Hypothesis(place.pose, score, 1.0)], score, total, place.met, place.contradicted,
+            scan.stamp, scan.line, TrackState.tracking, pose, turn @ drawn_covariance(place.drawn) @ turn.T,
+            [Hypothesis(pose, score, 1.0)], score, total, place.met, place.contradicted,
         )  # fmt: skip
+
+    def _of_robot(self, pose: Pose) -> Pose:
+        """Return T_map_robot of a pose T_map_sensor."""
+        return pose @ self._mount.inverse()
 
     def _find(self, scan: Scan) -> Estimate:
         """Look for a scan in the whole map."""
@@ -231,7 +241,7 @@ class LidarLocaliser:
             return lost
         first, total = places[0], len(thin)
         if len(places) > 1 and places[1].met > first.met - _MARGIN and _is_apart(first.pose, places[1].pose):
-            found = [Hypothesis(p.pose, round(p.met * total), 0.5) for p in places]
+            found = [Hypothesis(self._of_robot(p.pose), round(p.met * total), 0.5) for p in places]
             return Estimate(
                 scan.stamp, scan.line, TrackState.ambiguous, None, None, found, found[0].score, total, first.met,
                 first.contradicted,
@@ -244,14 +254,21 @@ class LidarLocaliser:
         if self._start is None:
             return SearchRegion(tilt=_TILT)
         x, y, yaw = self._start
+        # The search turns a scan whose axes are level and the robot's, about the sensor.
+        c, s = math.cos(yaw), math.sin(yaw)
+        ahead, left = self._mount.translation[:2].tolist()
+        x, y = x + c * ahead - s * left, y + s * ahead + c * left
         low = np.array([x - _START[0], y - _START[0], self._low[2]])
         high = np.array([x + _START[0], y + _START[0], self._high[2]])
         return SearchRegion(low, high, yaw, _START[1], _TILT)
 
     def _level(self, points: FloatArray, lattice: Lattice) -> Pose:
+        """Return the attitude of the sensor but for yaw: as it is mounted, and by the floors that it sees."""
+        mounted = Pose(self._mount.rotation, np.zeros(3))
         surfaces = SurfaceMap(lattice)
-        surfaces.add(points)
-        return levelling(surfaces) or Pose.identity(3)
+        surfaces.add(mounted.apply(points))
+        found = levelling(surfaces)
+        return mounted if found is None else found @ mounted
 
 
 def _is_apart(a: Pose, b: Pose) -> bool:
@@ -275,7 +292,7 @@ def localise_lidar_log(
     Raises:
         LogError: the log cannot be read, has no scan, or none that can be used.
     """
-    localiser = LidarLocaliser(states, settings, start=start, time_limit=time_limit)
+    localiser = LidarLocaliser(states, settings, start=start, time_limit=time_limit, mount=log.mount)
     counted = TrackCounter(str(log.path), on_estimate, progress)
     for scan in log:
         try:

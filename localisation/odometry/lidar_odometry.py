@@ -134,8 +134,15 @@ class LidarOdometry:
         found: those of them that lay elsewhere than KISS-ICP had put them.
     """
 
-    def __init__(self, settings: LidarSettings, velocity: Velocity | None = None) -> None:
-        """Begin at the origin of the map; ``velocity`` is the sensor's in the first sweep, where it is known.
+    def __init__(
+        self, settings: LidarSettings, velocity: Velocity | None = None, begin: Pose | None = None
+    ) -> None:
+        """Begin with no map.
+
+        Args:
+            settings: of the map.
+            velocity: the sensor's in the first sweep, where it is known.
+            begin: T_map_sensor of the first scan; None: the origin.
 
         Raises:
             MissingDependencyError: kiss-icp cannot be loaded.
@@ -144,8 +151,7 @@ class LidarOdometry:
         self.settings = settings
         self.surfaces: SurfaceMap | None = None
         self._kiss: Any = None
-        self._kiss_pose = Pose.identity(3)
-        self._pose = Pose.identity(3)
+        self._pose = self._kiss_pose = begin or Pose.identity(3)
         self._stamp: float | None = None
         self._velocity = velocity
         self._usual: float | None = None
