@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ import numpy as np
 from hexmap.base.errors import FileAccessError, LogError
 from hexmap.base.text import plural, reason, shown
 from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings, returned
-from hexmap.io.lidar.point_cloud2 import PointTimes, column, coordinates
+from hexmap.io.lidar.point_cloud2 import column, coordinates
+from hexmap.io.lidar.point_times import PointTimes
 from hexmap.io.logs.bag_frames import Joints, frame_name, transforms
 from hexmap.io.logs.bag_messages import message_stamp
 from hexmap.io.logs.bag_mount import ODOMETRY, TF, BagFrames, find_frames, first_reading, is_static
@@ -247,7 +249,7 @@ class LidarBag(LidarLog):
         points = coordinates(message)
         intensity = column(message, "intensity")
         return self._clean(
-            stamp, points, self.times.of(message, stamp, returned(points)),
+            stamp, points, self.times.of(partial(column, message), stamp, returned(points)),
             None if intensity is None else intensity.astype(float), number, where,
         )  # fmt: skip
 
