@@ -140,21 +140,21 @@ def build(
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
         if path is not None and len(logs) > 1:
             raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
-    if in_space:
-        _build_in_space(
-            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
-            None if associate is None else associate.value, loop_closure,
-            lattice=lattice, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
-            free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
-            log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
-        )  # fmt: skip
-        return
     _check_twice(logs, continue_map)
     asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
     for option in (name for name, value in asked.items() if value):
         if poses is not None or not loop_closure:
             how = "--poses" if poses is not None else "--no-loop-closure"
             raise ArgumentError(f"{option} and {how} do not go together: it takes runs whose loops are closed")
+    if in_space:
+        _build_in_space(
+            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
+            None if associate is None else associate.value, loop_closure, continue_map,
+            lattice=lattice, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
+            free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
+            log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
+        )  # fmt: skip
+        return
     old = None
     if continue_map is not None:
         from hexmap.io.map_file import load_map
@@ -212,7 +212,7 @@ def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
 
 # Options that are for the logs of a planar laser alone, and for those of a LiDAR alone.
 _OF_THE_PLANE = (
-    "loops_picture", "continue_map", "checkpoint", "clear_no_return", "mount", "search_metres", "search_degrees",
+    "loops_picture", "checkpoint", "clear_no_return", "mount", "search_metres", "search_degrees",
     "search_level", "odometry", "angle_min", "angle_step", "no_return", "laser", "odometry_topic",
 )  # fmt: skip
 _OF_SPACE = ("rate", "free_space", "level")
@@ -224,7 +224,7 @@ def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:
 
     for name in _OF_THE_PLANE if in_space else _OF_SPACE:
         if options[name] is not None:
-            option = "--continue" if name == "continue_map" else f"--{name.replace('_', '-')}"
+            option = f"--{name.replace('_', '-')}"
             kind, other = ("a LiDAR", "a planar laser") if in_space else ("a planar laser", "a LiDAR")
             raise ArgumentError(f"{log} is the log of {kind}, and {option} is for that of {other}")
 
@@ -236,19 +236,25 @@ def _build_in_space(
     poses: Path | None,
     associate: str | None,
     close: bool,
+    continue_map: Path | None,
     **options: Any,
 ) -> None:
-    """Build the map of a LiDAR's log."""
+    """Build the map of a LiDAR's logs."""
     from hexmap.base.errors import ArgumentError, HexmapError
+    from hexmap.io.map_file import load_map
 
-    if len(logs) > 1:
-        raise ArgumentError(f"one log of a LiDAR makes a map, not {len(logs)}; hexmap merge puts maps together")
+    old = None
+    if continue_map is not None:
+        old = load_map(continue_map)
+        if old.lattice.dim != 3:
+            raise ArgumentError(f"{continue_map} is a map of the plane, and {logs[0]} the log of a LiDAR")
+        config = config or continue_map
     values = _read_config(config) if config is not None else {}
     try:
         settings = lidar_settings(values, options)
     except HexmapError as error:
         raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
-    build_lidar(logs[0], settings, outputs, poses, associate, close)
+    build_lidar(logs, settings, outputs, poses, associate, close, old)
 
 
 def _write_loops(

@@ -30,13 +30,13 @@ from localisation.matching.gravity import levelling
 from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
-from localisation.matching.search_region import SearchRegion
+from localisation.matching.search_region import SearchRegion, cells_of_box
 from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry, surface_lattice
 from localisation.slam import spatial
 from localisation.slam.lidar_loops import drawn_covariance
 
-__all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_csv_line"]
+__all__ = ["LidarLocaliser", "Place", "localise_lidar_log", "space_csv_header", "space_csv_line"]
 
 # Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
 _LEAST_CELLS = 3
@@ -64,8 +64,8 @@ _START = (1.0, math.radians(20.0))
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """A pose that was verified.
+class Place:
+    """A pose in a map that was verified.
 
     Attributes:
         pose: T_map_sensor.
@@ -83,6 +83,7 @@ class _Place:
 
     @property
     def belongs(self) -> bool:
+        """Whether a scan belongs there, all of which the map should know."""
         return self.drawn.converged and self.met >= _LEAST_MET and self.contradicted <= _MOST_CONTRADICTED
 
 
@@ -145,20 +146,31 @@ class LidarLocaliser:
         known = VoxelList.from_points(fine.centres(self._states.free.index), coarse).merge(cells)
         at = coarse.centres(known.index)
         known = known.select(((at >= low) & (at <= high)).all(axis=1))
+        if len(self._states.free) == 0:
+            # A map without free space does not say where a sensor may be.
+            known = cells_of_box(coarse, low, high)
         self._matcher = GlobalMatcher(OccupancyPyramid(coincidence(cells)), coincidence(known))
         self._low, self._high = low, high
         index = self._states.occupied.index.astype(np.int64)
         near = np.concatenate([index, *[index + o for o in fine.neighbours]])
         self._near = VoxelList.from_cells(near, fine)
 
-    def _verify(self, thin: FloatArray, start: Pose, match: Match | None, drawn: Drawn | None = None) -> _Place:
+    def _verify(self, thin: FloatArray, start: Pose, match: Match | None, drawn: Drawn | None = None) -> Place:
         """Draw a scan onto the surfaces and ask how it agrees with occupied and free cells."""
         assert self._surfaces is not None
         drawn = drawn or self._surfaces.draw(thin, start, farthest=2.0)
         index = self._states.occupied.lattice.quantise(drawn.pose.apply(thin))
         met = self._near.contains(index)
         free = ~met & self._states.free.contains(index)
-        return _Place(drawn.pose, match, drawn, float(met.mean()), float(free.mean()))
+        return Place(drawn.pose, match, drawn, float(met.mean()), float(free.mean()))
+
+    def draw(self, points: FloatArray, start: Pose) -> Place:
+        """Draw points (N, 3) of any frame onto the map near ``start`` (T_map_frame), and say how they agree with it."""
+        if self._surfaces is None:
+            self._prepare(self._settings.in_range(points))
+        assert self._surfaces is not None
+        thin = first_of_each_cell(points, self._surfaces.lattice.scaled(1.0 / 3.0))
+        return self._verify(thin, start, None, self._surfaces.draw(thin, start))
 
     # ------------------------------------------------------------------ scan by scan
 
@@ -199,7 +211,7 @@ class LidarLocaliser:
         self._odometry = None
         return self._find(scan)
 
-    def _answer(self, scan: Scan, place: _Place, total: int) -> Estimate:
+    def _answer(self, scan: Scan, place: Place, total: int) -> Estimate:
         pose = self._of_robot(place.pose)
         A = spatial.adjoint(spatial.of_pose(self._mount))
         turn = np.zeros((6, 6))

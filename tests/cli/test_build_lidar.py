@@ -125,7 +125,7 @@ def test_given_poses_need_no_odometry(
 @pytest.mark.parametrize(
     "options",
     [
-        ("--continue", "old.parquet"), ("--checkpoint", "c"), ("--clear-no-return", 5), ("--mount", 0, 0, 0),
+        ("--checkpoint", "c"), ("--clear-no-return", 5), ("--mount", 0, 0, 0),
         ("--search-metres", 1), ("--search-degrees", 1), ("--search-level", 1), ("--no-odometry",),
         ("--laser", "FLASER"),
         ("--odometry-topic", "/odom"), ("--loops-picture", "l.png"), ("--angle-min", -90), ("--angle-step", 1),
@@ -179,9 +179,49 @@ def test_wrong_values_are_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_several_lidar_logs_are_for_merge(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    err = failure(capsys, 2, run / "run", run / "scans", "-o", tmp_path / "m.parquet")
-    assert "one log of a LiDAR makes a map, not 2; hexmap merge puts maps together" in err
+def two_runs(run: Path, folder: Path) -> tuple[Path, Path]:
+    """Two folders of scans, the last six of the first being the first six of the second."""
+    for name, chosen in (("a", slice(0, 14)), ("b", slice(8, SCANS))):
+        (folder / name).mkdir()
+        for file in sorted((run / "scans").iterdir())[chosen]:
+            (folder / name / file.name).write_bytes(file.read_bytes())
+    return folder / "a", folder / "b"
+
+
+def test_several_logs_are_mapped_together(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a, b = two_runs(run, tmp_path)
+    both = tmp_path / "both.parquet"
+    capsys.readouterr()
+    options = (*QUICK, "--no-free-space")
+    assert call("build", a, b, "-o", both, "--trajectory", tmp_path / "both.tum", *options) == 0
+    out = capsys.readouterr().out
+    assert "14 scans" in out and "16 scans" in out
+    assert f"{b}: begins at (" in out and "1 of its 1 parts lie on it" in out
+    # The frame is that of the first run, and scans that both have lie where they lay.
+    poses = read_tum(tmp_path / "both.tum")
+    assert len(poses) == 30
+    for k in range(8, 14):
+        assert poses[k].is_close(poses[k + 6], 0.1, 0.02)
+    built = load_map(both)
+    assert len(built.sources()) == 2 and len({source["frame"] for source in built.sources()}) == 1
+    err = failure(capsys, 1, a, "-o", tmp_path / "m.parquet", "--continue", both)
+    assert f"it is in {both} already" in err
+    err = failure(capsys, 2, run / "run", "-o", tmp_path / "m.parquet", "--continue", both, "--no-loop-closure")
+    assert "--continue and --no-loop-closure do not go together" in err
+    err = failure(capsys, 2, run / "run", "-o", tmp_path / "m.parquet", "--continue", both, "--resolution", 0.4)
+    assert "goes on with these, not with D3 at 0.4 m" in err
+
+
+@pytest.mark.long
+def test_a_map_goes_on_with_another_run(run: Path, tmp_path: Path) -> None:
+    a, b = two_runs(run, tmp_path)
+    both, first, second = (tmp_path / f"{name}.parquet" for name in ("both", "first", "second"))
+    options = (*QUICK, "--no-free-space")
+    assert call("build", a, b, "-o", both, "--picture", tmp_path / "both.png", *options) == 0
+    assert call("build", a, "-o", first, *options) == 0
+    assert call("build", b, "-o", second, "--continue", first) == 0
+    assert load_map(second) == load_map(both), "with the settings of the map"
+    assert (tmp_path / "both.png").stat().st_size > 0
 
 
 def test_damage_is_warned_of_and_the_rest_is_mapped(
