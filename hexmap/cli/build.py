@@ -149,7 +149,7 @@ def build(
     if in_space:
         _build_in_space(
             logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
-            None if associate is None else associate.value, loop_closure, continue_map,
+            None if associate is None else associate.value, loop_closure, continue_map, checkpoint,
             lattice=lattice, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
             free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
             log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
@@ -212,7 +212,7 @@ def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
 
 # Options that are for the logs of a planar laser alone, and for those of a LiDAR alone.
 _OF_THE_PLANE = (
-    "loops_picture", "checkpoint", "clear_no_return", "mount", "search_metres", "search_degrees",
+    "loops_picture", "clear_no_return", "mount", "search_metres", "search_degrees",
     "search_level", "odometry", "angle_min", "angle_step", "no_return", "laser", "odometry_topic",
 )  # fmt: skip
 _OF_SPACE = ("rate", "free_space", "level")
@@ -237,6 +237,7 @@ def _build_in_space(
     associate: str | None,
     close: bool,
     continue_map: Path | None,
+    checkpoint: Path | None,
     **options: Any,
 ) -> None:
     """Build the map of a LiDAR's logs."""
@@ -254,7 +255,7 @@ def _build_in_space(
         settings = lidar_settings(values, options)
     except HexmapError as error:
         raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
-    build_lidar(logs, settings, outputs, poses, associate, close, old)
+    build_lidar(logs, settings, outputs, poses, associate, close, old, checkpoint)
 
 
 def _write_loops(
@@ -361,10 +362,10 @@ def _map_logs(
     """Map one log after the other, each found in the map of those before it."""
     from localisation.mapping.add_run import add_run
     from localisation.mapping.align import pose_words
-    from localisation.mapping.checkpoint import Checkpoints
+    from localisation.mapping.checkpoint import checkpoints_of
     from localisation.mapping.loop_closed_map import build_loop_closed_map
 
-    kept = [None if checkpoint is None else Checkpoints(checkpoint / str(k)) for k in range(len(sources))]
+    kept = checkpoints_of(checkpoint, len(sources))
     result: MappingResult | None = None
     world = old
     for source, checkpoints in zip(sources, kept, strict=True):
@@ -388,19 +389,6 @@ def _map_logs(
     return result
 
 
-def _forget(folder: Path, count: int) -> None:
-    """Remove the checkpoints of runs that are done, and the folders if they are empty."""
-    import contextlib
-
-    from localisation.mapping.checkpoint import Checkpoints
-
-    for k in range(count):
-        Checkpoints(folder / str(k)).forget()
-    for path in [*(folder / str(k) for k in range(count)), folder]:
-        with contextlib.suppress(OSError):
-            path.rmdir()
-
-
 def build_and_report(
     sources: list[Any],
     settings: MappingSettings,
@@ -420,6 +408,7 @@ def build_and_report(
     from hexmap.io.map_file import save_map
     from hexmap.io.trajectories import TumWriter
     from localisation.mapping.build_map import build_map
+    from localisation.mapping.checkpoint import forget
     from localisation.mapping.fuse_log import fuse_log
 
     source = sources[0]
@@ -446,7 +435,7 @@ def build_and_report(
         seconds = time.monotonic() - begin
         save_map(output, result.map)
     if checkpoint is not None:
-        _forget(checkpoint, len(sources))
+        forget(checkpoint, len(sources))
     for text in result.warnings:
         warn(text)
     if len(result.map.levels[0].hits) == 0:

@@ -56,6 +56,7 @@ def build_lidar(
     associate: str | None,
     close: bool,
     old: Map | None = None,
+    checkpoint: Path | None = None,
 ) -> None:
     """Build, write and report.
 
@@ -67,14 +68,16 @@ def build_lidar(
         associate: how these go with scans.
         close: whether loops are closed.
         old: a map in which the logs are found, and to which they are added.
+        checkpoint: a folder in which a run that was killed is found again and goes on.
     """
     from contextlib import ExitStack
 
     from hexmap.io.lidar.open_lidar import open_lidar
     from hexmap.io.map_file import save_map
     from hexmap.io.trajectories import TumWriter, read_trajectory
+    from localisation.mapping.checkpoint import forget
     from localisation.mapping.lidar_map import fuse_lidar_log
-    from localisation.odometry.lidar_odometry import import_kiss_icp
+    from localisation.odometry.kiss import import_kiss_icp
 
     sources = [open_lidar(log, settings.log) for log in logs]
     given = None if poses is None else read_trajectory(poses)
@@ -91,7 +94,7 @@ def build_lidar(
                 writer.append(stamp, pose)
 
         if given is None:
-            result = _map_logs(sources, settings, close, old, on_pose, places)
+            result = _map_logs(sources, settings, close, old, checkpoint, on_pose, places)
         else:
             begin = time.monotonic()
             result = fuse_lidar_log(
@@ -99,6 +102,8 @@ def build_lidar(
             )
             _report(sources[0], result, time.monotonic() - begin)
         save_map(outputs.map, result.map)
+    if checkpoint is not None:
+        forget(checkpoint, len(sources))
     wrote(
         outputs.map,
         f"{len(result.map.levels)} levels, {len(result.map.levels[0].hits)} cells hit, {result.map.lattice.title}",
@@ -122,6 +127,7 @@ def _map_logs(
     settings: LidarSettings,
     close: bool,
     old: Map | None,
+    checkpoint: Path | None,
     on_pose: OnPose,
     places: list[list[float]],
 ) -> LidarMappingResult:
@@ -131,18 +137,23 @@ def _map_logs(
     """
     from localisation.mapping.add_lidar_run import add_lidar_run
     from localisation.mapping.align import pose_words
+    from localisation.mapping.checkpoint import checkpoints_of
     from localisation.mapping.lidar_map import build_lidar_map
 
     result: LidarMappingResult | None = None
     world = old
-    for source in sources:
+    kept = checkpoints_of(checkpoint, len(sources))
+    for source, checkpoints in zip(sources, kept, strict=True):
         begin = time.monotonic()
+        if checkpoints is not None and checkpoints.path.exists():
+            say(f"{source.path}: goes on from {checkpoints.path}")
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
         if places:
             places.append([math.nan] * 3)
         if world is None:
-            result = build_lidar_map(source, settings, close=close, on_pose=on_pose, phase=progress_line)
+            result = build_lidar_map(source, settings, close=close, **how)
         else:
-            result, found = add_lidar_run(world, source, settings, on_pose=on_pose, phase=progress_line)
+            result, found = add_lidar_run(world, source, settings, **how)
             say(
                 f"{source.path}: begins at {pose_words(found.pose)} in the map; {found.held} of its {found.submaps} "
                 "parts lie on it"

@@ -22,6 +22,7 @@ from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.lidar_settings import LidarSettings
 from localisation.localiser.lidar_localiser import LidarLocaliser, Place
+from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.lidar_map import LidarMappingResult, LidarRun, fuse_lidar_run, map_lidar_run
 from localisation.mapping.loop_closed_map import Phase
 from localisation.mapping.result import OnPose
@@ -75,6 +76,7 @@ def add_lidar_run(
     *,
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> tuple[LidarMappingResult, FoundRun]:
     """Map a LiDAR's log, find it in a map, and add it.
 
@@ -85,6 +87,7 @@ def add_lidar_run(
         loops: how loops of the log itself are looked for.
         on_pose: called at the end with the poses in the frame of ``map``.
         phase: shows what is being done.
+        checkpoints: where the run keeps what it knows.
 
     Returns:
         The result, whose map holds both, and where the run was found.
@@ -102,7 +105,7 @@ def add_lidar_run(
             f"a map on {map.lattice.name} at {map.lattice.resolution:g} m of {len(map.levels)} levels goes on with "
             f"these, not with {lattice.name} at {lattice.resolution:g} m of {settings.levels}"
         )
-    run = map_lidar_run(log, settings, loops, phase=phase)
+    run = map_lidar_run(log, settings, loops, phase=phase, checkpoints=checkpoints)
     localiser = LidarLocaliser(map.state(settings.rule), settings)
     held, about = _find(localiser, run, map.lattice.resolution)
     result = fuse_lidar_run(held, None, on_pose=on_pose, phase=phase)

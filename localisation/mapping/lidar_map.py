@@ -21,6 +21,7 @@ from hexmap.poses.rotations import angles
 from hexmap.poses.scan import Scan
 from hexmap.poses.trajectory import Trajectory
 from localisation.lidar_settings import LidarSettings
+from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.loop_closed_map import Phase, silent
 from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, provenance
 from localisation.matching.gravity import levelling
@@ -81,6 +82,7 @@ def build_lidar_map(
     close: bool = True,
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> LidarMappingResult:
     """Map a LiDAR's log.
 
@@ -91,6 +93,7 @@ def build_lidar_map(
         close: whether loops are closed.
         on_pose: called at the end with stamp, T_map_robot and True for every scan in the log's order.
         phase: shows what is being done, as for :func:`~localisation.mapping.loop_closed_map.build_loop_closed_map`.
+        checkpoints: where the run keeps what it knows, and finds what one that was killed has left.
 
     Returns:
         The map. Its origin is where the robot was at the first scan; its axes are the robot's then, turned so that
@@ -100,8 +103,11 @@ def build_lidar_map(
     Raises:
         LogError: the log cannot be read or has no scan.
         MissingDependencyError: kiss-icp or gtsam cannot be loaded.
+        FormatError: the checkpoint is of another run, or damaged.
     """
-    run = map_lidar_run(log, settings or LidarSettings(), loops, close=close, phase=phase)
+    run = map_lidar_run(
+        log, settings or LidarSettings(), loops, close=close, phase=phase, checkpoints=checkpoints
+    )
     return fuse_lidar_run(run, run.levelling(), on_pose=on_pose, phase=phase)
 
 
@@ -143,15 +149,26 @@ def map_lidar_run(
     *,
     close: bool = True,
     phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> LidarRun:
     """Find the poses of a log: arguments and errors as of :func:`build_lidar_map`."""
-    phase = phase or silent
-    velocity = LidarOdometry.first_velocity(settings, list(itertools.islice(log, 2)))
-    slam = LidarSlam(settings, loops, close=close, velocity=velocity, begin=log.mount)
-    unusable = UnusableScans(log)
-    used: list[int] = []
+    phase, loops = phase or silent, loops or LoopSettings()
+    begun = None if checkpoints is None else checkpoints.find(log, settings, loops)
+    slam: LidarSlam
+    used: list[int]
+    if begun is not None:
+        slam, unusable, used = begun.state
+        unusable.log = log
+    else:
+        velocity = LidarOdometry.first_velocity(settings, list(itertools.islice(log, 2)))
+        slam = LidarSlam(settings, loops, close=close, velocity=velocity, begin=log.mount)
+        unusable, used = UnusableScans(log), []
     with phase("mapping", log.fraction) as progress:
         for number, scan in enumerate(log):
+            if begun is not None and number < begun.readings:
+                continue
+            if checkpoints is not None:
+                checkpoints.keep(log, settings, loops, number, (slam, unusable, used))
             try:
                 missed = slam.register(scan).missed
             except (BoundsError, TooLargeError) as error:

@@ -125,7 +125,7 @@ def test_given_poses_need_no_odometry(
 @pytest.mark.parametrize(
     "options",
     [
-        ("--checkpoint", "c"), ("--clear-no-return", 5), ("--mount", 0, 0, 0),
+        ("--clear-no-return", 5), ("--mount", 0, 0, 0),
         ("--search-metres", 1), ("--search-degrees", 1), ("--search-level", 1), ("--no-odometry",),
         ("--laser", "FLASER"),
         ("--odometry-topic", "/odom"), ("--loops-picture", "l.png"), ("--angle-min", -90), ("--angle-step", 1),
