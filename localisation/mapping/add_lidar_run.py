@@ -19,9 +19,8 @@ from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.maps.map import Map
 from hexmap.maps.origin import frames_of, sources_in_frame
 from hexmap.poses.pose import Pose
-from hexmap.poses.scan import Scan
 from localisation.lidar_settings import LidarSettings
-from localisation.localiser.lidar_localiser import LidarLocaliser, Place
+from localisation.localiser.lidar_localiser import LidarLocaliser
 from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.lidar_map import LidarMappingResult, LidarRun, fuse_lidar_run, map_lidar_run
 from localisation.mapping.loop_closed_map import Phase
@@ -37,10 +36,6 @@ __all__ = ["FoundRun", "add_lidar_run", "lidar_settings_of"]
 _LOOKED_FOR = 12
 # What ties the run to the map where no submap is held, standard deviations: where the first was found, give or take.
 _TIE = (0.25, math.radians(2.5))
-# Share of a submap's points that must lie on the map's planes: half of what one run saw the other did not, often.
-_LEAST = 0.3
-# Of the points that the map knows, the share that may lie where it is free.
-_MOST_FREE = 0.25
 
 
 @dataclass(frozen=True)
@@ -128,12 +123,11 @@ def _find(localiser: LidarLocaliser, run: LidarRun, resolution: float) -> tuple[
         points = submaps[k].points.astype(np.float64)
         # In axes parallel to the run's own, so that little is left to level.
         level = Pose(T_run_node.rotation, np.zeros(3))
-        localiser.forget()
-        found = localiser.add(Scan(0.0, level.apply(points))).pose
-        if found is None:
+        places = localiser.look_for(level.apply(points))
+        if len(places) != 1:
             continue
-        place = localiser.draw(points, found @ level)
-        if not _holds(place):
+        place = localiser.draw(points, places[0].pose @ level)
+        if not place.holds:
             continue
         T_map_run = place.pose @ T_run_node.inverse()
         bent, held = _hold(localiser, run, T_map_run, k, resolution)
@@ -166,18 +160,13 @@ def _hold(
     # From the one that was found to both sides: where the graph has the next one is known best then.
     for k in sorted(range(len(submaps)), key=lambda k: (abs(k - first), k)):
         place = localiser.draw(submaps[k].points.astype(np.float64), spatial.to_pose(graph.pose(k + 1)))
-        if not _holds(place):
+        if not place.holds:
             continue
         graph.add_edge(Edge(0, k + 1, spatial.of_pose(place.pose), drawn_covariance(place.drawn) + cell, loop=True))
         graph.optimise()
         count += 1
     count -= len(graph.optimise_robustly())
     return _bent(run, graph), count
-
-
-def _holds(place: Place) -> bool:
-    known = place.met + place.contradicted
-    return place.drawn.converged and place.drawn.share >= _LEAST and place.contradicted <= _MOST_FREE * known
 
 
 def _bent(run: LidarRun, graph: PoseGraph) -> LidarRun:
