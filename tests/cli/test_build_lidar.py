@@ -13,7 +13,10 @@ import pytest
 from hexmap.cli import main
 from hexmap.io.map_file import load_map
 from hexmap.io.trajectories import read_tum
+from hexmap.poses.pose import Pose
+from hexmap.poses.trajectory import Trajectory
 from localisation.evaluation import absolute_error
+from tests.io.lidar.clouds import CloudBag, xyz
 from tests.lattices import JIT
 
 pytestmark = pytest.mark.skipif(not JIT, reason="whole drives take minutes without the compiler")
@@ -177,6 +180,35 @@ def test_wrong_values_are_one_line(
     monkeypatch.chdir(tmp_path)
     assert words in failure(capsys, code, run / "run", "-o", tmp_path / "m.parquet", *options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_with_tf_is_mapped_by_the_robots_poses(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hexmap.io.lidar import open_lidar
+    from hexmap.io.trajectories import write_tum
+
+    mount = Pose.from_quaternion([0.3, 0.0, 1.0], [0.0, 0.1, 0.0, 1.0])
+    scans = [scan for k, scan in enumerate(open_lidar(run / "run")) if k < 4]
+    with CloudBag(tmp_path, "mcap") as bag:
+        bag.transforms(0.0, ("base_link", "lidar", mount))
+        for scan in scans:
+            bag.write(xyz(scan.points[::4]), scan.stamp)
+    poses = [pose @ mount.inverse() for k, pose in enumerate(read_tum(run / "run.tum")) if k < 4]
+    write_tum(tmp_path / "robot.tum", Trajectory.from_poses([scan.stamp for scan in scans], poses))
+    out = tmp_path / "m.parquet"
+    options = ("--poses", tmp_path / "robot.tum", "--trajectory", tmp_path / "m.tum", *QUICK)
+    capsys.readouterr()
+    assert call("build", bag.path, "-o", out, *options) == 0
+    said = capsys.readouterr().out
+    assert "the LiDAR on the robot ('base_link'): (0.300, 0.000, 1.000) m, turned by 0.0, 11.4, 0.0 degrees" in said
+    assert "poses of the robot ('base_link') at the scans' stamps" in said
+    assert all(a.is_close(b, 1e-6, 1e-6) for a, b in zip(read_tum(tmp_path / "m.tum"), poses, strict=True))
+    centres = load_map(out).levels[0].hits.centres()
+    # The floor that the robot stands on is where it was.
+    assert np.abs(centres[:, 2]).min() < 0.2 and np.quantile(centres[:, 2], 0.02) > -0.5
+    assert call("info", bag.path) == 0
+    assert "the LiDAR on the robot ('base_link')" in capsys.readouterr().out
 
 
 def two_runs(run: Path, folder: Path) -> tuple[Path, Path]:
