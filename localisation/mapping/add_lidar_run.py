@@ -1,9 +1,9 @@
 """Another run of a LiDAR in a place that is mapped already: found in the map, held to it, and added.
 
 The run is mapped by itself first, with its loops closed. Its submaps are looked for in the old map as scans are, all
-over it, until one is found. From there on submap after submap is drawn onto the surfaces of the old map, and a graph of
-the run's own edges and of these bends the run to the old map, whose poses are fixed. A run of several submaps belongs
-there only if a second one of them lies on the map where the first one puts it.
+over it; most of those that are found must agree on where the run lies. From there on submap after submap is drawn onto
+the surfaces of the old map, and a graph of the run's own edges and of these bends the run to the old map, whose poses
+are fixed. A run of several submaps belongs there only if two of them lie on the map.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from hexmap.maps.origin import frames_of, sources_in_frame
 from hexmap.poses.pose import Pose
 from localisation.lidar_settings import LidarSettings
 from localisation.localiser.lidar_localiser import LidarLocaliser
+from localisation.mapping.align import pose_words
 from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.lidar_map import LidarMappingResult, LidarRun, fuse_lidar_run, map_lidar_run
 from localisation.mapping.loop_closed_map import Phase
@@ -34,6 +35,10 @@ __all__ = ["FoundRun", "add_lidar_run", "lidar_settings_of"]
 
 # Submaps that are looked for all over the map, spread evenly over the run: each takes seconds where it is not in it.
 _LOOKED_FOR = 12
+# Submaps agree on where the run lies to this, metres and radians: a run bends by as much from one end to the other.
+_AGREE = (1.0, math.radians(5.0))
+# So many more of them than anywhere else are enough: the others need not be looked for.
+_LEAD = 2
 # What ties the run to the map where no submap is held, standard deviations: where the first was found, give or take.
 _TIE = (0.25, math.radians(2.5))
 
@@ -44,13 +49,15 @@ class FoundRun:
 
     Attributes:
         pose: T_map_run: where its own map's origin came to lie.
-        looked_for: submaps that were looked for all over the map until one was found.
+        looked_for: submaps that were looked for all over the map, and
+        found: those of them that agree.
         held: submaps that lie on surfaces of the map, of
         submaps: so many.
     """
 
     pose: Pose
     looked_for: int
+    found: int
     held: int
     submaps: int
 
@@ -116,28 +123,44 @@ def _find(localiser: LidarLocaliser, run: LidarRun, resolution: float) -> tuple[
     """
     submaps, nodes = run.slam.submaps, run.result.graph.poses
     chosen = np.linspace(0, len(submaps) - 1, min(_LOOKED_FOR, len(submaps))).round().astype(np.int64)
-    needed = min(2, len(submaps))
-    alone = 0
-    for count, k in enumerate(chosen.tolist(), 1):
+    # Places on which submaps agree: T_map_run, and the submaps.
+    groups: list[tuple[Pose, list[int]]] = []
+    count = 0
+    for k in chosen.tolist():
+        count += 1
         T_run_node = spatial.to_pose(nodes[k])
         points = submaps[k].points.astype(np.float64)
         # In axes parallel to the run's own, so that little is left to level.
         level = Pose(T_run_node.rotation, np.zeros(3))
         places = localiser.look_for(level.apply(points))
-        if len(places) != 1:
-            continue
-        place = localiser.draw(points, places[0].pose @ level)
-        if not place.holds:
+        place = localiser.draw(points, places[0].pose @ level) if len(places) == 1 else None
+        if place is None or not place.holds:
             continue
         T_map_run = place.pose @ T_run_node.inverse()
-        bent, held = _hold(localiser, run, T_map_run, k, resolution)
-        if held >= needed:
-            return bent, FoundRun(T_map_run, count, held, len(submaps))
-        alone += 1
-    what = f"none of the {len(chosen)} parts of it that were looked for is in it"
-    if alone:
-        what = f"{alone} of the {len(chosen)} parts of it that were looked for might be in it, the others not beside it"
-    raise AlignmentError(f"{run.log.path}: not found in the map beyond doubt: {what}")
+        agreeing = next((found for T, found in groups if T.is_close(T_map_run, *_AGREE)), None)
+        if agreeing is None:
+            groups.append((T_map_run, [k]))
+        else:
+            agreeing.append(k)
+        groups.sort(key=lambda group: -len(group[1]))
+        if len(groups[0][1]) >= _LEAD + (len(groups[1][1]) if len(groups) > 1 else 0):
+            break
+    where = f"{run.log.path}: not found in the map beyond doubt:"
+    if not groups:
+        raise AlignmentError(f"{where} none of the {len(chosen)} parts of it that were looked for is in it")
+    T_map_run, found = groups[0]
+    if len(groups) > 1 and len(groups[1][1]) == len(found):
+        raise AlignmentError(
+            f"{where} of the {len(chosen)} parts of it that were looked for {len(found)} lie at "
+            f"{pose_words(T_map_run)}, and as many at {pose_words(groups[1][0])}"
+        )
+    bent, held = _hold(localiser, run, T_map_run, found[0], resolution)
+    if held < min(2, len(submaps)):
+        raise AlignmentError(
+            f"{where} {len(found)} of the {len(chosen)} parts of it that were looked for might be in it, the others "
+            "not beside it"
+        )
+    return bent, FoundRun(T_map_run, count, len(found), held, len(submaps))
 
 
 def _hold(

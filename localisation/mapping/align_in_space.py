@@ -4,7 +4,7 @@ A map is looked for as a LiDAR's scan is (:mod:`localisation.localiser.lidar_loc
 matcher over all yaws, drawn onto the other's surfaces, and asked on the finest cells how it agrees with what is
 occupied there and what is free. Floors and ceilings are most of what maps of space have in common, and meet at wrong
 places as well as at the right one: a place is searched and judged by what stands upright. As a whole first; where a map
-reaches too far beyond the other for that, in parts, of which one must be found and a second one lie where that puts it.
+reaches too far beyond the other for that, in parts, of which most that are found must agree on where the map lies.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ __all__ = ["SpaceAlignment", "align_maps_in_space"]
 
 # Parts of a map that are looked for: each takes seconds where it is not in the other.
 _PARTS = 8
+# Parts agree to this, metres and radians: a map bends by as much from one end to the other.
+_AGREE = (1.0, math.radians(5.0))
+# By so much more of its upright cells a map must agree with the other where it lies than anywhere else.
+_MARGIN = 0.05
 # Parts reach so far, as a share of how far the map's farthest cells are from its middle, and metres: some rooms.
 _PART_REACH, _LEAST_REACH, _MOST_REACH = 0.5, 3.0, 12.0
 # In cells of the map, those in which planes are looked for; and how far a floor's normal leans at most, radians.
@@ -43,7 +47,7 @@ class SpaceAlignment:
 
     Attributes:
         pose: T_a_b.
-        parts: how many parts of b were found or lie where they should; 0 where b was found as a whole.
+        parts: how many parts of b were found there; 0 where b was found as a whole.
         looked_for: how many searches of a there were.
         met: how many upright cells of b lie on occupied cells of a or beside them.
         overlap: the same as a share of the smaller map's.
@@ -170,18 +174,31 @@ def _find(there: LidarLocaliser, what: _Upright, states: States) -> tuple[Pose, 
     if places:
         return places[0].pose @ _from(origin), 0, 1
     parts = _parts(what, states)
-    ambiguous = ""
-    for k, (origin, part) in enumerate(parts):
+    found: list[list[Pose]] = []
+    for origin, part in parts:
         places = there.look_for(*part.about(origin))
-        if len(places) != 1:
-            ambiguous = ambiguous or (_rivals(places, origin) if places else "")
-            continue
-        T = places[0].pose @ _from(origin)
-        holding = [n for n in range(len(parts)) if n != k and _holds(there, *parts[n], T)]
-        if holding:
-            return T, 1 + len(holding), k + 2
-    text = f"neither the whole second map nor two of {len(parts)} parts of it lie in the first map"
-    raise AlignmentError(text + (f"; ambiguous: {ambiguous}" if ambiguous else ""))
+        if len(places) == 1:
+            T = places[0].pose @ _from(origin)
+            group = next((group for group in found if group[0].is_close(T, *_AGREE)), None)
+            if group is None:
+                found.append([T])
+            else:
+                group.append(T)
+    found.sort(key=lambda group: -len(group))
+    if not found or sum(_holds(there, *part, found[0][0]) for part in parts) < 2:
+        raise AlignmentError(
+            f"neither the whole second map nor two of {len(parts)} parts of it lie in the first map beyond doubt"
+        )
+    judged = [there.draw(what.points, group[0], what.judged) for group in found]
+    values = [place.met - place.contradicted for place in judged]
+    for n in range(1, len(found)):
+        if len(found[n]) == len(found[0]) or values[n] > values[0] - _MARGIN:
+            rivals = " and ".join(
+                f"{len(found[k])} of {len(parts)} parts lie at {pose_words(found[k][0])}, where {values[k]:.1%} agree"
+                for k in (0, n)
+            )
+            raise AlignmentError(f"ambiguous: {rivals}")
+    return found[0][0], len(found[0]), len(parts) + 1
 
 
 def _holds(there: LidarLocaliser, origin: FloatArray, part: _Upright, T_there_map: Pose) -> bool:
