@@ -48,7 +48,7 @@ def named(which: str, name: str) -> tuple[Map, Pose]:
     return part(hall(), lattice, *((0, 40) if which == "first" else (35, 75)))
 
 
-@pytest.mark.parametrize("name", ["D3", "D3*", "Z3"])
+@pytest.mark.parametrize("name", ["D3", pytest.param("D3*", marks=pytest.mark.long), "Z3"])
 def test_halves_of_a_drive_are_put_together(name: str) -> None:
     """The hall is much the same turned by half: a pillar and two boxes tell."""
     (a, start_a), (b, start_b) = named("first", name), named("second", name)
@@ -58,8 +58,8 @@ def test_halves_of_a_drive_are_put_together(name: str) -> None:
     assert found.reverse_metres < 0.3
 
 
-@pytest.mark.parametrize("name", ["Z3", pytest.param("D3", marks=pytest.mark.long),
-                                  pytest.param("D3*", marks=pytest.mark.long)])  # fmt: skip
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["Z3", "D3", "D3*"])
 def test_another_place_is_refused_with_the_reason(name: str) -> None:
     with pytest.raises(AlignmentError, match=r"contradicted: at best .* free there|nor two of \d parts|ambiguous"):
         align_maps_in_space(named("first", name)[0], named("other", name)[0])
@@ -113,9 +113,5 @@ def test_a_building_that_is_the_same_turned_by_half_is_refused() -> None:
 def test_maps_that_reach_beyond_each_other_are_put_together_by_their_parts() -> None:
     lattice = Lattice.named("D3", 0.15)
     (a, start_a), (b, start_b) = part(block(), lattice, 0, 60), part(block(), lattice, 20, 120)
-    try:
-        found = align_maps_in_space(a, b)
-    except AlignmentError as error:
-        assert "ambiguous" in str(error) or "beyond doubt" in str(error)
-    else:
-        assert found.pose.is_close(start_a.inverse() @ start_b, metres=0.1, radians=math.radians(0.5))
+    found = align_maps_in_space(a, b)
+    assert found.parts > 1 and found.pose.is_close(start_a.inverse() @ start_b, metres=0.1, radians=math.radians(0.5))
