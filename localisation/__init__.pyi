@@ -4,6 +4,7 @@ from .localiser.estimate import Estimate
 from .localiser.lidar_localiser import LidarLocaliser
 from .localiser.localiser import Localiser
 from .localiser.settings import LocaliserSettings
+from .mapping.add_lidar_run import add_lidar_run
 from .mapping.add_run import add_run
 from .mapping.build_map import build_map
 from .mapping.fuse_log import fuse_log
@@ -28,6 +29,7 @@ __all__ = [
     "PoseErrors",
     "SearchRegion",
     "absolute_error",
+    "add_lidar_run",
     "add_run",
     "build_lidar_map",
     "build_loop_closed_map",

@@ -145,21 +145,21 @@ def build(
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
         if path is not None and len(logs) > 1:
             raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
-    if in_space:
-        _build_in_space(
-            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
-            None if associate is None else associate.value, loop_closure,
-            lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
-            free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
-            log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
-        )  # fmt: skip
-        return
     _check_twice(logs, continue_map)
     asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
     for option in (name for name, value in asked.items() if value):
         if poses is not None or not loop_closure:
             how = "--poses" if poses is not None else "--no-loop-closure"
             raise ArgumentError(f"{option} and {how} do not go together: it takes runs whose loops are closed")
+    if in_space:
+        _build_in_space(
+            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
+            None if associate is None else associate.value, loop_closure, continue_map, checkpoint,
+            lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
+            free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
+            log={"topic": scan_topic, "frame": scan_frame, "rate": rate},
+        )  # fmt: skip
+        return
     old = None
     if continue_map is not None:
         from hexmap.io.map_file import load_map
@@ -217,7 +217,7 @@ def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
 
 # Options that are for the logs of a planar laser alone, and for those of a LiDAR alone.
 _OF_THE_PLANE = (
-    "loops_picture", "continue_map", "checkpoint", "clear_no_return", "mount", "search_metres", "search_degrees",
+    "loops_picture", "clear_no_return", "mount", "search_metres", "search_degrees",
     "search_level", "odometry", "angle_min", "angle_step", "no_return", "laser", "odometry_topic",
 )  # fmt: skip
 _OF_SPACE = ("rate", "free_space", "level")
@@ -229,7 +229,7 @@ def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:
 
     for name in _OF_THE_PLANE if in_space else _OF_SPACE:
         if options[name] is not None:
-            option = "--continue" if name == "continue_map" else f"--{name.replace('_', '-')}"
+            option = f"--{name.replace('_', '-')}"
             kind, other = ("a LiDAR", "a planar laser") if in_space else ("a planar laser", "a LiDAR")
             raise ArgumentError(f"{log} is the log of {kind}, and {option} is for that of {other}")
 
@@ -241,19 +241,26 @@ def _build_in_space(
     poses: Path | None,
     associate: str | None,
     close: bool,
+    continue_map: Path | None,
+    checkpoint: Path | None,
     **options: Any,
 ) -> None:
-    """Build the map of a LiDAR's log."""
+    """Build the map of a LiDAR's logs."""
     from hexmap.base.errors import ArgumentError, HexmapError
+    from hexmap.io.map_file import load_map
 
-    if len(logs) > 1:
-        raise ArgumentError(f"one log of a LiDAR makes a map, not {len(logs)}; hexmap merge puts maps together")
+    old = None
+    if continue_map is not None:
+        old = load_map(continue_map)
+        if old.lattice.dim != 3:
+            raise ArgumentError(f"{continue_map} is a map of the plane, and {logs[0]} the log of a LiDAR")
+        config = config or continue_map
     values = _read_config(config) if config is not None else {}
     try:
         settings = lidar_settings(values, options)
     except HexmapError as error:
         raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
-    build_lidar(logs[0], settings, outputs, poses, associate, close)
+    build_lidar(logs, settings, outputs, poses, associate, close, old, checkpoint)
 
 
 def _write_loops(
@@ -360,10 +367,10 @@ def _map_logs(
     """Map one log after the other, each found in the map of those before it."""
     from localisation.mapping.add_run import add_run
     from localisation.mapping.align import pose_words
-    from localisation.mapping.checkpoint import Checkpoints
+    from localisation.mapping.checkpoint import checkpoints_of
     from localisation.mapping.loop_closed_map import build_loop_closed_map
 
-    kept = [None if checkpoint is None else Checkpoints(checkpoint / str(k)) for k in range(len(sources))]
+    kept = checkpoints_of(checkpoint, len(sources))
     result: MappingResult | None = None
     world = old
     for source, checkpoints in zip(sources, kept, strict=True):
@@ -388,19 +395,6 @@ def _map_logs(
     return result
 
 
-def _forget(folder: Path, count: int) -> None:
-    """Remove the checkpoints of runs that are done, and the folders if they are empty."""
-    import contextlib
-
-    from localisation.mapping.checkpoint import Checkpoints
-
-    for k in range(count):
-        Checkpoints(folder / str(k)).forget()
-    for path in [*(folder / str(k) for k in range(count)), folder]:
-        with contextlib.suppress(OSError):
-            path.rmdir()
-
-
 def build_and_report(
     sources: list[Any],
     settings: MappingSettings,
@@ -420,6 +414,7 @@ def build_and_report(
     from hexmap.io.map_file import save_map
     from hexmap.io.trajectories import TumWriter
     from localisation.mapping.build_map import build_map
+    from localisation.mapping.checkpoint import forget
     from localisation.mapping.fuse_log import fuse_log
 
     source = sources[0]
@@ -446,7 +441,7 @@ def build_and_report(
         seconds = time.monotonic() - begin
         save_map(output, result.map)
     if checkpoint is not None:
-        _forget(checkpoint, len(sources))
+        forget(checkpoint, len(sources))
     for text in result.warnings:
         warn(text)
     if len(result.map.levels[0].hits) == 0:

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
+from hexmap.cli.console import first_run_note, mount_words, progress_line, say, warn, wrote
 
 if TYPE_CHECKING:
+    from hexmap.io.lidar.lidar_log import LidarLog
+    from hexmap.maps.map import Map
+    from hexmap.poses.pose import Pose
     from localisation.lidar_settings import LidarSettings
     from localisation.mapping.lidar_map import LidarMappingResult
+    from localisation.mapping.result import OnPose
 
 __all__ = ["LidarOutputs", "build_lidar", "lidar_settings"]
 
@@ -45,54 +49,119 @@ def lidar_settings(values: dict[str, Any], options: dict[str, Any]) -> LidarSett
 
 
 def build_lidar(
-    log: Path, settings: LidarSettings, outputs: LidarOutputs, poses: Path | None, associate: str | None, close: bool
+    logs: list[Path],
+    settings: LidarSettings,
+    outputs: LidarOutputs,
+    poses: Path | None,
+    associate: str | None,
+    close: bool,
+    old: Map | None = None,
+    checkpoint: Path | None = None,
 ) -> None:
     """Build, write and report.
 
     Args:
-        log: the bag or folder.
+        logs: bags or folders; several are mapped one after the other, each found in the map of those before it.
         settings: of the map.
         outputs: what is written.
-        poses: a file of poses to fuse at, instead of matching.
+        poses: a file of poses to fuse the only log at, instead of matching.
         associate: how these go with scans.
         close: whether loops are closed.
+        old: a map in which the logs are found, and to which they are added.
+        checkpoint: a folder in which a run that was killed is found again and goes on.
     """
+    from contextlib import ExitStack
+
     from hexmap.io.lidar.open_lidar import open_lidar
     from hexmap.io.map_file import save_map
     from hexmap.io.trajectories import TumWriter, read_trajectory
-    from localisation.mapping.lidar_map import build_lidar_map, fuse_lidar_log
-    from localisation.odometry.lidar_odometry import import_kiss_icp
+    from localisation.mapping.checkpoint import forget
+    from localisation.mapping.lidar_map import fuse_lidar_log
+    from localisation.odometry.kiss import import_kiss_icp
 
-    source = open_lidar(log, settings.log)
+    sources = [open_lidar(log, settings.log) for log in logs]
     given = None if poses is None else read_trajectory(poses)
     if given is None:
         import_kiss_icp()
     first_run_note()
-    begin = time.monotonic()
-    if given is None:
-        result = build_lidar_map(source, settings, close=close, phase=progress_line)
-    else:
-        result = fuse_lidar_log(source, given, settings, associate=associate, phase=progress_line)
-    seconds = time.monotonic() - begin
-    save_map(outputs.map, result.map)
-    if outputs.trajectory is not None:
-        with TumWriter(outputs.trajectory) as writer:
-            for k, stamp in enumerate(result.poses.stamps.tolist()):
-                writer.append(stamp, result.poses[k])
-    _report(source, result, seconds)
+    places: list[list[float]] = []
+    with ExitStack() as stack:
+        writer = None if outputs.trajectory is None else stack.enter_context(TumWriter(outputs.trajectory))
+
+        def on_pose(stamp: float, pose: Pose, is_scan: bool) -> None:
+            places.append(pose.translation.tolist())
+            if writer is not None:
+                writer.append(stamp, pose)
+
+        if given is None:
+            result = _map_logs(sources, settings, close, old, checkpoint, on_pose, places)
+        else:
+            begin = time.monotonic()
+            result = fuse_lidar_log(
+                sources[0], given, settings, associate=associate, on_pose=on_pose, phase=progress_line
+            )
+            _report(sources[0], result, time.monotonic() - begin)
+        save_map(outputs.map, result.map)
+    if checkpoint is not None:
+        forget(checkpoint, len(sources))
     wrote(
         outputs.map,
         f"{len(result.map.levels)} levels, {len(result.map.levels[0].hits)} cells hit, {result.map.lattice.title}",
     )
     if outputs.trajectory is not None:
-        wrote(outputs.trajectory, "poses of the sensor at the scans' stamps, TUM")
+        whose = " and ".join(dict.fromkeys(source.poses_of for source in sources))
+        wrote(outputs.trajectory, f"poses of {whose} at the scans' stamps, TUM")
     if result.slam is not None:
         _write_loops(result, outputs)
     if outputs.picture is not None:
+        import numpy as np
+
         from hexmap.drawing.solids.draw_solids import draw_solids
 
-        draw_solids(result.map.state(settings.rule).occupied, outputs.picture, trajectory=result.poses)
+        draw_solids(result.map.state(settings.rule).occupied, outputs.picture, trajectory=np.array(places))
         wrote(outputs.picture, "picture")
+
+
+def _map_logs(
+    sources: list[LidarLog],
+    settings: LidarSettings,
+    close: bool,
+    old: Map | None,
+    checkpoint: Path | None,
+    on_pose: OnPose,
+    places: list[list[float]],
+) -> LidarMappingResult:
+    """Map one log after the other, each found in the map of those before it; returns the last result.
+
+    ``places``, where the poses are, get a gap between two runs.
+    """
+    from localisation.mapping.add_lidar_run import add_lidar_run
+    from localisation.mapping.align import pose_words
+    from localisation.mapping.checkpoint import checkpoints_of
+    from localisation.mapping.lidar_map import build_lidar_map
+
+    result: LidarMappingResult | None = None
+    world = old
+    kept = checkpoints_of(checkpoint, len(sources))
+    for source, checkpoints in zip(sources, kept, strict=True):
+        begin = time.monotonic()
+        if checkpoints is not None and checkpoints.path.exists():
+            say(f"{source.path}: goes on from {checkpoints.path}")
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        if places:
+            places.append([math.nan] * 3)
+        if world is None:
+            result = build_lidar_map(source, settings, close=close, **how)
+        else:
+            result, found = add_lidar_run(world, source, settings, **how)
+            say(
+                f"{source.path}: begins at {pose_words(found.pose)} in the map; {found.held} of its {found.submaps} "
+                "parts lie on it"
+            )
+        world = result.map
+        _report(source, result, time.monotonic() - begin)
+    assert result is not None
+    return result
 
 
 def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
@@ -100,6 +169,8 @@ def _report(source: Any, result: LidarMappingResult, seconds: float) -> None:
 
     for text in result.warnings:
         warn(text)
+    if source.mount is not None:
+        say(f"the LiDAR on {source.poses_of}: {mount_words(source.mount)}")
     how = "given poses"
     if result.slam is not None:
         how = "nothing to match"

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from hexmap.base.errors import FileAccessError
 from hexmap.base.text import printable
+
+if TYPE_CHECKING:
+    from hexmap.poses.pose import Pose
 
 # Metres: lasers measure to a few millimetres at best, and a room is some metres wide.
 _FINEST, _COARSEST = 0.001, 10.0
@@ -25,6 +29,7 @@ __all__ = [
     "compiling_note",
     "first_run_note",
     "is_compiled",
+    "mount_words",
     "progress_line",
     "say",
     "warn",
@@ -162,3 +167,13 @@ def progress_line(what: str, fraction: Callable[[], float], noun: str = "scans")
 
     with progress_on_terminal(what, fraction, noun) as update:
         yield update
+
+
+def mount_words(mount: Pose) -> str:
+    """Return how a sensor is mounted in space, in words."""
+    R = mount.rotation
+    yaw, roll = math.atan2(R[1, 0], R[0, 0]), math.atan2(R[2, 1], R[2, 2])
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    place = ", ".join(f"{v:.3f}" for v in mount.translation.tolist())
+    turn = ", ".join(f"{math.degrees(v):.1f}" for v in (roll, pitch, yaw))
+    return f"({place}) m, turned by {turn} degrees (roll, pitch, yaw)"

@@ -47,7 +47,7 @@ def demo_in_space(output: Path, settings: LidarSettings, seed: int) -> None:
     wrote(run, "ROS 2 bag")
     wrote(truth, "true poses")
     path, poses, picture = output / "warehouse.parquet", output / "warehouse.tum", output / "warehouse.png"
-    build_lidar(run, settings, LidarOutputs(path, poses, picture), None, None, True)
+    build_lidar([run], settings, LidarOutputs(path, poses, picture), None, None, True)
     states = load_map(path).state(settings.rule)
     cut, octomap = output / "warehouse-slice.png", output / "warehouse.bt"
     draw_slice(states, 0.3, cut, trajectory=read_trajectory(poses))

@@ -80,7 +80,7 @@ def localise_in_space(
     say(f"{track.scans} scans in {seconds:.1f} s ({rate:.1f} ms a scan); localised after {track.scans_until} scans")
     share = track.placed / track.scans
     say(f"{share:.1%} of the scans have a pose, {track.metres:.1f} m; lost {track.times_lost} times")
-    wrote(outputs.poses, f"{track.placed} poses of the sensor, TUM")
+    wrote(outputs.poses, f"{track.placed} poses of {source.poses_of}, TUM")
     if outputs.csv is not None:
         wrote(outputs.csv, f"{track.scans} scans")
     if outputs.picture is not None:

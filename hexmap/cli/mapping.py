@@ -217,15 +217,17 @@ def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
     """Find b in a and merge both; returns the map in a's frame, and where b was found."""
     from hexmap.base.errors import LatticeError
     from hexmap.cli.viewing import rule_of
-    from localisation.mapping.align import align_maps, merge_aligned, pose_words
+    from localisation.mapping.align import align_maps, moved_into, pose_words
+    from localisation.mapping.align_in_space import align_maps_in_space
 
     # Before the search, which takes seconds.
     if a.lattice != b.lattice:
         raise LatticeError(f"the maps are on different lattices: {a.lattice!r} and {b.lattice!r}")
     first_run_note()
-    found = align_maps(a, b, rules=(rule_of(None, None, a.sources()), rule_of(None, None, b.sources())))
+    align = align_maps if a.lattice.dim == 2 else align_maps_in_space
+    found = align(a, b, rules=(rule_of(None, None, a.sources()), rule_of(None, None, b.sources())))
     what = f"{pose_words(found.pose)}, {found.overlap:.0%} overlap, {found.contradicted:.0%} contradicted"
-    return merge_aligned(a, b, found), what
+    return a.merge(moved_into(a, b, found.pose), same_frame=True), what
 
 
 def demo(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import check_outputs, say, warn, wrote
+from hexmap.cli.console import check_outputs, mount_words, say, warn, wrote
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -177,6 +177,12 @@ def _lidar_info(path: Path) -> None:
     timed = f"a time a point, sweeps of {sweep:.3f} s" if sweep else "no time a point"
     say(f"{points / log.scans:.0f} points a scan up to {math.sqrt(farthest):.2f} m; {timed}")
     say(f"stamps {stamps[0]:.3f} to {stamps[1]:.3f} s")
+    if log.mount is None:
+        say("the mount is not known: poses are those of the sensor")
+    else:
+        say(f"the LiDAR on {log.poses_of}: {mount_words(log.mount)}")
+    if log.unused:
+        say(f"{log.unused}: there, and not used")
     for text in log.warnings:
         warn(text)
 

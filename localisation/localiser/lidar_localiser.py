@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, BoundsError
@@ -30,12 +31,13 @@ from localisation.matching.gravity import levelling
 from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
-from localisation.matching.search_region import SearchRegion
+from localisation.matching.search_region import SearchRegion, cells_of_box
 from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry, surface_lattice
+from localisation.slam import spatial
 from localisation.slam.lidar_loops import drawn_covariance
 
-__all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_csv_line"]
+__all__ = ["LidarLocaliser", "Place", "localise_lidar_log", "space_csv_header", "space_csv_line"]
 
 # Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
 _LEAST_CELLS = 3
@@ -52,19 +54,28 @@ _LEAST_SHARE = 0.6
 # A scan belongs where so many of its points lie on occupied cells or beside them, and so few where the map is free. A
 # third of what is seen may have changed. In foreign buildings a third lay on something, and half of it in free space.
 _LEAST_MET, _MOST_CONTRADICTED = 0.65, 0.25
+# Share of points that must lie on the map's planes where it may know no more than half of them.
+_LEAST_DRAWN = 0.3
 # Two places are told apart where one has so much more of the scan's points on occupied cells.
 _MARGIN = 0.05
 # Places nearer than this are the same, metres and radians.
 _APART = (1.0, math.radians(10.0))
+# Down to which part of the best score other places are looked for. The cells of two maps lie apart as chance has it:
+# turned by half, a hall whose cells happen to lie on each other scores more than where it belongs.
+_RIVALS, _RIVALS_OF_MAPS = 0.9, 0.75
+# Of a map of many rooms, places that far from one another are told apart once more.
+_FAR_APART = (4.0, math.radians(60.0))
 # Scans in a row that do not belong where they were tracked to: then the sensor is lost.
 _PATIENCE = 3
+# Fewer points than this are no scan.
+_FEWEST = 10
 # Metres and radians around a start pose.
 _START = (1.0, math.radians(20.0))
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """A pose that was verified.
+class Place:
+    """A pose in a map that was verified.
 
     Attributes:
         pose: T_map_sensor.
@@ -72,6 +83,7 @@ class _Place:
         drawn: what the surfaces said.
         met: share of points on occupied cells.
         contradicted: share of points where the map is free.
+        total: how many points there were.
     """
 
     pose: Pose
@@ -79,10 +91,19 @@ class _Place:
     drawn: Drawn
     met: float
     contradicted: float
+    total: int
 
     @property
     def belongs(self) -> bool:
+        """Whether a scan belongs there, all of which the map should know."""
         return self.drawn.converged and self.met >= _LEAST_MET and self.contradicted <= _MOST_CONTRADICTED
+
+    @property
+    def holds(self) -> bool:
+        """Whether points belong there of which the map may know no more than a part."""
+        known = self.met + self.contradicted
+        on_surfaces = self.drawn.converged and self.drawn.share >= _LEAST_DRAWN
+        return on_surfaces and self.contradicted <= _MOST_CONTRADICTED * known
 
 
 class LidarLocaliser:
@@ -99,14 +120,16 @@ class LidarLocaliser:
         *,
         start: tuple[float, float, float] | None = None,
         time_limit: float | None = None,
+        mount: Pose | None = None,
     ) -> None:
         """Take a map.
 
         Args:
             states: its occupied and free cells.
             settings: of the LiDAR: ranges; lattice and resolution are the map's.
-            start: x, y (metres) and yaw (radians) of the sensor at the first scan, where they are known.
+            start: x, y (metres) and yaw (radians) of the robot at the first scan, where they are known.
             time_limit: seconds that a search may take; what it has not finished by then is no answer.
+            mount: T_robot_sensor: estimates are those of the robot then; None: of the sensor.
 
         Raises:
             ArgumentError: a map of the plane, or without an occupied cell.
@@ -119,6 +142,7 @@ class LidarLocaliser:
             raise ArgumentError("no cell of the map is occupied, nothing can be found in it")
         self._states, self._settings = states, settings or LidarSettings()
         self._start, self._time_limit = start, time_limit
+        self._mount = mount or Pose.identity(3)
         self._odometry: LidarOdometry | None = None
         self._surfaces: SurfaceMap | None = None
         self._bad = 0
@@ -141,20 +165,42 @@ class LidarLocaliser:
         known = VoxelList.from_points(fine.centres(self._states.free.index), coarse).merge(cells)
         at = coarse.centres(known.index)
         known = known.select(((at >= low) & (at <= high)).all(axis=1))
+        if len(self._states.free) == 0:
+            # A map without free space does not say where a sensor may be.
+            known = cells_of_box(coarse, low, high)
         self._matcher = GlobalMatcher(OccupancyPyramid(coincidence(cells)), coincidence(known))
         self._low, self._high = low, high
         index = self._states.occupied.index.astype(np.int64)
         near = np.concatenate([index, *[index + o for o in fine.neighbours]])
         self._near = VoxelList.from_cells(near, fine)
 
-    def _verify(self, thin: FloatArray, start: Pose, match: Match | None, drawn: Drawn | None = None) -> _Place:
-        """Draw a scan onto the surfaces and ask how it agrees with occupied and free cells."""
+    def _verify(
+        self, thin: FloatArray, start: Pose, match: Match | None, drawn: Drawn | None = None,
+        judged: FloatArray | None = None,
+    ) -> Place:  # fmt: skip
+        """Draw a scan onto the surfaces and ask how it, or those points that are judged by, agrees with the cells."""
         assert self._surfaces is not None
         drawn = drawn or self._surfaces.draw(thin, start, farthest=2.0)
-        index = self._states.occupied.lattice.quantise(drawn.pose.apply(thin))
-        met = self._near.contains(index)
-        free = ~met & self._states.free.contains(index)
-        return _Place(drawn.pose, match, drawn, float(met.mean()), float(free.mean()))
+        placed = drawn.pose.apply(thin if judged is None else judged)
+        met = self.meets(placed)
+        free = ~met & self._states.free.contains(self._states.occupied.lattice.quantise(placed))
+        count = max(1, len(placed))
+        return Place(drawn.pose, match, drawn, float(met.sum()) / count, float(free.sum()) / count, len(placed))
+
+    def meets(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Tell which points (N, 3) of the map's frame lie on occupied cells or beside; after a search or drawing."""
+        return np.asarray(self._near.contains(self._states.occupied.lattice.quantise(points)))
+
+    def draw(self, points: FloatArray, start: Pose, judged: FloatArray | None = None) -> Place:
+        """Draw points (N, 3) of any frame onto the map near ``start`` (T_map_frame), and say how they agree with it.
+
+        ``judged`` (K, 3) are those of them, in the same frame, by whose agreement the place is judged; None: all.
+        """
+        if self._surfaces is None:
+            self._prepare(self._settings.in_range(points))
+        assert self._surfaces is not None
+        thin = first_of_each_cell(points, self._surfaces.lattice.scaled(1.0 / 3.0))
+        return self._verify(thin, start, None, self._surfaces.draw(thin, start), judged)
 
     # ------------------------------------------------------------------ scan by scan
 
@@ -199,63 +245,116 @@ class LidarLocaliser:
         self._odometry = None
         return self._find(scan)
 
-    def _answer(self, scan: Scan, place: _Place, total: int) -> Estimate:
-        covariance = drawn_covariance(place.drawn)
+    def _answer(self, scan: Scan, place: Place, total: int) -> Estimate:
+        pose = self._of_robot(place.pose)
+        A = spatial.adjoint(spatial.of_pose(self._mount))
         turn = np.zeros((6, 6))
-        turn[:3, :3] = turn[3:, 3:] = place.pose.rotation
+        turn[:3, :3] = turn[3:, 3:] = pose.rotation
+        turn = turn @ A
         score = round(place.met * total)
         return Estimate(
-            scan.stamp, scan.line, TrackState.tracking, place.pose, turn @ covariance @ turn.T,
-            [Hypothesis(place.pose, score, 1.0)], score, total, place.met, place.contradicted,
+            scan.stamp, scan.line, TrackState.tracking, pose, turn @ drawn_covariance(place.drawn) @ turn.T,
+            [Hypothesis(pose, score, 1.0)], score, total, place.met, place.contradicted,
         )  # fmt: skip
+
+    def _of_robot(self, pose: Pose) -> Pose:
+        """Return T_map_robot of a pose T_map_sensor."""
+        return pose @ self._mount.inverse()
 
     def _find(self, scan: Scan) -> Estimate:
         """Look for a scan in the whole map."""
         odometry = LidarOdometry(self._settings)
-        points = self._settings.in_range(scan.points)
-        lattice = self._matcher.lattice
-        thin = first_of_each_cell(points, lattice.scaled(1.0 / 3.0))
-        lost = Estimate(scan.stamp, scan.line, TrackState.lost)
-        if len(thin) < 10:
-            return lost
-        level = self._level(points, lattice)
-        match = self._matcher.match(
-            spread_points(level.apply(points), lattice, _POINTS), self._region(), apart=_APART, least=_LEAST_SHARE,
-            refine=False, beams=False, information=False, time_limit=self._time_limit, node_limit=_NODES,
-        )  # fmt: skip
-        if match is None or not match.certified:
-            return lost
-        best = self._verify(thin, match.pose @ level, match)
-        places = [best]
-        if match.runner_up is not None:
-            places.append(self._verify(thin, match.runner_up.pose @ level, match))
-        places = [p for p in places if p.belongs]
-        places.sort(key=lambda p: -p.met)
+        places = self.look_for(scan.points)
         if not places:
-            return lost
-        first, total = places[0], len(thin)
-        if len(places) > 1 and places[1].met > first.met - _MARGIN and _is_apart(first.pose, places[1].pose):
-            found = [Hypothesis(p.pose, round(p.met * total), 0.5) for p in places]
+            return Estimate(scan.stamp, scan.line, TrackState.lost)
+        first = places[0]
+        if len(places) > 1:
+            found = [Hypothesis(self._of_robot(p.pose), round(p.met * p.total), 0.5) for p in places]
             return Estimate(
-                scan.stamp, scan.line, TrackState.ambiguous, None, None, found, found[0].score, total, first.met,
+                scan.stamp, scan.line, TrackState.ambiguous, None, None, found, found[0].score, first.total, first.met,
                 first.contradicted,
             )  # fmt: skip
         odometry.begin_at(scan, first.pose, self._surfaces)
         self._odometry, self._start, self._bad = odometry, None, 0
-        return self._answer(scan, first, total)
+        return self._answer(scan, first, first.total)
+
+    def look_for(self, points: FloatArray, judged: FloatArray | None = None) -> list[Place]:
+        """Return where points (N, 3) in the sensor's frame belong in the whole map.
+
+        Args:
+            points: that are drawn onto the map's surfaces.
+            judged: (K, 3) those of them that are searched for, and by which a place is judged; None: all.
+
+        Returns:
+            None, one, or two places that cannot be told apart, the likelier one first.
+
+        Raises:
+            BoundsError: a point is out of range.
+        """
+        points = self._settings.in_range(points)
+        if self._surfaces is None:
+            self._prepare(points if len(points) else np.ones((1, 3)))
+        lattice = self._matcher.lattice
+        thin = first_of_each_cell(points, lattice.scaled(1.0 / 3.0))
+        if len(thin) < _FEWEST or (judged is not None and len(judged) < _FEWEST):
+            return []
+        level = self._level(points, lattice)
+        told_by = spread_points(level.apply(points if judged is None else judged), lattice, _POINTS)
+        rivals = _RIVALS if judged is None else _RIVALS_OF_MAPS
+        match = self._search(told_by, _APART, rivals)
+        if match is None:
+            return []
+        places = [self._verify(thin, match.pose @ level, match, judged=judged)]
+        if match.runner_up is not None:
+            places.append(self._verify(thin, match.runner_up.pose @ level, match, judged=judged))
+        if judged is not None and len(places) > 1 and not _is_apart(places[0].pose, places[1].pose):
+            # The next best was the best once more. What a map is like in a mirror, or turned, lies farther off.
+            match = self._search(told_by, _FAR_APART, rivals)
+            if match is not None and match.runner_up is not None:
+                places[1] = self._verify(thin, match.runner_up.pose @ level, match, judged=judged)
+        places = [p for p in places if p.belongs]
+
+        def value(place: Place) -> float:
+            # Of a whole map what stands where the other is free tells more than what is missing.
+            return place.met if judged is None else place.met - place.contradicted
+
+        places.sort(key=lambda p: -value(p))
+        if len(places) > 1 and (
+            value(places[1]) <= value(places[0]) - _MARGIN or not _is_apart(places[0].pose, places[1].pose)
+        ):
+            places.pop()
+        return places
+
+    def _search(self, points: FloatArray, apart: tuple[float, float], rivals: float) -> Match | None:
+        """Search the map for points in level axes; None where it holds nothing like them, or it takes too long.
+
+        A runner-up is looked for down to the part ``rivals`` of the best score.
+        """
+        match = self._matcher.match(
+            points, self._region(), apart=apart, runner_up=rivals, least=_LEAST_SHARE, refine=False, beams=False,
+            information=False, time_limit=self._time_limit, node_limit=_NODES,
+        )  # fmt: skip
+        return match if match is not None and match.certified else None
 
     def _region(self) -> SearchRegion:
         if self._start is None:
             return SearchRegion(tilt=_TILT)
         x, y, yaw = self._start
+        # The search turns a scan whose axes are level and the robot's, about the sensor.
+        c, s = math.cos(yaw), math.sin(yaw)
+        ahead, left = self._mount.translation[:2].tolist()
+        x, y = x + c * ahead - s * left, y + s * ahead + c * left
         low = np.array([x - _START[0], y - _START[0], self._low[2]])
         high = np.array([x + _START[0], y + _START[0], self._high[2]])
         return SearchRegion(low, high, yaw, _START[1], _TILT)
 
     def _level(self, points: FloatArray, lattice: Lattice) -> Pose:
+        """Return the attitude of the sensor but for yaw: as it is mounted, and by the floors that it sees."""
+        mounted = Pose(self._mount.rotation, np.zeros(3))
         surfaces = SurfaceMap(lattice)
-        surfaces.add(points)
-        return levelling(surfaces) or Pose.identity(3)
+        surfaces.add(mounted.apply(points))
+        found = levelling(surfaces)
+        return mounted if found is None else found @ mounted
 
 
 def _is_apart(a: Pose, b: Pose) -> bool:
@@ -279,7 +378,7 @@ def localise_lidar_log(
     Raises:
         LogError: the log cannot be read, has no scan, or none that can be used.
     """
-    localiser = LidarLocaliser(states, settings, start=start, time_limit=time_limit)
+    localiser = LidarLocaliser(states, settings, start=start, time_limit=time_limit, mount=log.mount)
     counted = TrackCounter(str(log.path), on_estimate, progress)
     for scan in log:
         try:

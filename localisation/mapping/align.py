@@ -30,7 +30,9 @@ from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion, shifts_in_ball
 
-__all__ = ["AlignSettings", "Alignment", "align_maps", "merge_aligned", "moved_into", "pose_words"]
+__all__ = [
+    "AlignSettings", "Alignment", "align_maps", "check_agreement", "merge_aligned", "moved_into", "pose_words",
+]  # fmt: skip
 
 _COARSEST = 64.0  # times the cells of the finest level
 
@@ -160,7 +162,7 @@ def align_maps(
     match, searched = _search(first, second, settings, rivals=False)
     pose = _refine(a, rules[0], first, second, searched)
     met, overlap, contradicted = _agreement(first, second, pose)
-    _check_agreement(met, overlap, contradicted, settings)
+    check_agreement(met, overlap, contradicted, settings)
     match, _ = _search(first, second, settings, known=match.score)
     _check_margin(match, searched, second, first, settings)
     reverse_match, reverse = _search(second, first, settings)
@@ -333,7 +335,7 @@ def _difference(first: _Side, second: _Side, pose: Pose, reverse: Pose) -> tuple
     return math.sqrt(float(((delta.apply(points) - points) ** 2).sum(axis=1).mean())), delta.angle
 
 
-def _check_agreement(met: int, overlap: float, contradicted: float, settings: AlignSettings) -> None:
+def check_agreement(met: int, overlap: float, contradicted: float, settings: AlignSettings) -> None:
     """Reject a pose at which too little of the maps meets, or too much disagrees.
 
     Raises:

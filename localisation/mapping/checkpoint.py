@@ -6,6 +6,7 @@ reader that makes objects of this project and of numpy only: a file from elsewhe
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
@@ -19,11 +20,13 @@ from typing import Any
 from hexmap.base.atomic_files import atomic_path
 from hexmap.base.errors import FileAccessError, FormatError
 from hexmap.base.version import __version__
+from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.io.logs.log import Log
+from localisation.lidar_settings import LidarSettings
 from localisation.settings import MappingSettings
 from localisation.slam.settings import LoopSettings
 
-__all__ = ["Checkpoint", "Checkpoints"]
+__all__ = ["Checkpoint", "Checkpoints", "checkpoints_of", "forget"]
 
 _NAME = "mapping.checkpoint"
 _MAGIC = b"hexmap checkpoint\n"
@@ -73,7 +76,9 @@ class Checkpoints:
         except OSError as error:
             raise FileAccessError(f"{folder}: cannot be made a folder for checkpoints: {error.strerror}") from error
 
-    def find(self, log: Log, settings: MappingSettings, loops: LoopSettings) -> Checkpoint | None:
+    def find(
+        self, log: Log | LidarLog, settings: MappingSettings | LidarSettings, loops: LoopSettings
+    ) -> Checkpoint | None:
         """Return the checkpoint of a run on this log with these settings; None where there is none.
 
         Raises:
@@ -106,7 +111,14 @@ class Checkpoints:
             raise FormatError(f"{self.path}: damaged ({error}); delete it") from error
         return Checkpoint(readings, state)
 
-    def keep(self, log: Log, settings: MappingSettings, loops: LoopSettings, readings: int, state: Any) -> None:
+    def keep(
+        self,
+        log: Log | LidarLog,
+        settings: MappingSettings | LidarSettings,
+        loops: LoopSettings,
+        readings: int,
+        state: Any,
+    ) -> None:
         """Write a checkpoint if the last one is old enough: the old one is there until the new one is whole.
 
         Raises:
@@ -140,12 +152,36 @@ class Checkpoints:
         self.path.unlink(missing_ok=True)
 
 
-def _describe(log: Log, settings: MappingSettings, loops: LoopSettings) -> dict[str, Any]:
+def checkpoints_of(folder: Path | None, count: int) -> list[Checkpoints | None]:
+    """Return where each of some runs keeps its checkpoints below a folder; None for each where there is none.
+
+    Raises:
+        FileAccessError: a folder cannot be made.
+    """
+    return [None if folder is None else Checkpoints(folder / str(k)) for k in range(count)]
+
+
+def forget(folder: Path, count: int) -> None:
+    """Remove the checkpoints of runs that are done, and the folders if they are empty."""
+    for k in range(count):
+        Checkpoints(folder / str(k)).forget()
+    for path in [*(folder / str(k) for k in range(count)), folder]:
+        with contextlib.suppress(OSError):
+            path.rmdir()
+
+
+def _describe(
+    log: Log | LidarLog, settings: MappingSettings | LidarSettings, loops: LoopSettings
+) -> dict[str, Any]:
     """Return what must be the same for a run to go on."""
     sha = hashlib.sha256()
-    with open(log.path, "rb") as handle:
-        while block := handle.read(_READ):
-            sha.update(block)
+    folder = log.path.is_dir()
+    for path in sorted(p for p in log.path.iterdir() if p.is_file()) if folder else [log.path]:
+        if folder:
+            sha.update(path.name.encode("utf-8", "surrogateescape") + b"\0")
+        with open(path, "rb") as handle:
+            while block := handle.read(_READ):
+                sha.update(block)
     return {
         "version": __version__,
         "log": sha.hexdigest(),

@@ -22,6 +22,7 @@ from hexmap.poses.rotations import angles
 from hexmap.poses.scan import Scan
 from hexmap.poses.trajectory import Trajectory
 from localisation.lidar_settings import LidarSettings
+from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.loop_closed_map import Phase, silent
 from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, provenance
 from localisation.matching.gravity import levelling
@@ -32,7 +33,9 @@ from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from localisation.slam.settings import LoopSettings
 
-__all__ = ["LidarMappingResult", "build_lidar_map", "fuse_lidar_log"]
+__all__ = [
+    "LidarMappingResult", "LidarRun", "build_lidar_map", "fuse_lidar_log", "fuse_lidar_run", "map_lidar_run",
+]  # fmt: skip
 
 # In cells of the surfaces: the last drawing is a touch, not a search.
 _TOUCH = 0.3
@@ -54,7 +57,7 @@ class LidarMappingResult:
         warnings: what was wrong with the log, one line each.
         levelled: by how much the map was turned to make floors level, radians; None where that was not asked for, or
             no floor was found.
-        poses: T_map_sensor of all scans.
+        poses: T_map_robot of all scans; of the sensor where the log does not say how it is mounted.
         slam: the graph, the loops and how sure each pose is; None where poses were given.
     """
 
@@ -82,6 +85,7 @@ def build_lidar_map(
     close: bool = True,
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> LidarMappingResult:
     """Map a LiDAR's log.
 
@@ -90,24 +94,84 @@ def build_lidar_map(
         settings: all settings of the map.
         loops: how loops are looked for, and what is believed.
         close: whether loops are closed.
-        on_pose: called at the end with stamp, T_map_sensor and True for every scan in the log's order.
+        on_pose: called at the end with stamp, T_map_robot and True for every scan in the log's order.
         phase: shows what is being done, as for :func:`~localisation.mapping.loop_closed_map.build_loop_closed_map`.
+        checkpoints: where the run keeps what it knows, and finds what one that was killed has left.
 
     Returns:
-        The map. Its origin is where the sensor was at the first scan; its axes are the sensor's then, turned so that
-        floors are level where ``settings.level_floor`` says so.
+        The map. Its origin is where the robot was at the first scan; its axes are the robot's then, turned so that
+        floors are level where ``settings.level_floor`` says so. The robot is the sensor where the log does not say how
+        it is mounted.
 
     Raises:
         LogError: the log cannot be read or has no scan.
         MissingDependencyError: kiss-icp or gtsam cannot be loaded.
+        FormatError: the checkpoint is of another run, or damaged.
     """
-    settings, phase = settings or LidarSettings(), phase or silent
-    velocity = LidarOdometry.first_velocity(settings, list(itertools.islice(log, 2)))
-    slam = LidarSlam(settings, loops, close=close, velocity=velocity)
-    unusable = UnusableScans(log)
-    used: list[int] = []
+    run = map_lidar_run(
+        log, settings or LidarSettings(), loops, close=close, phase=phase, checkpoints=checkpoints
+    )
+    return fuse_lidar_run(run, run.levelling(), on_pose=on_pose, phase=phase)
+
+
+@dataclass(frozen=True, eq=False)
+class LidarRun:
+    """The poses of a log, before its scans are fused.
+
+    Attributes:
+        log: which was read.
+        settings: of the map.
+        slam: what mapped it.
+        result: the poses T_map_sensor, with loops closed, and the graph.
+        used: which scans of the log have a pose, counted from 0.
+        warnings: what was wrong with the log.
+        how: how the poses were found, for the map's file.
+    """
+
+    log: LidarLog
+    settings: LidarSettings
+    slam: LidarSlam
+    result: LidarSlamResult
+    used: list[int]
+    warnings: list[str]
+    how: str
+
+    def surfaces(self) -> SurfaceMap:
+        """Return the surfaces of all submaps where the graph has them."""
+        return self.slam.surfaces(self.result.graph.poses)
+
+    def levelling(self) -> Pose | None:
+        """Return the turn that makes floors level; None where that is not asked for, or there is hardly any floor."""
+        return levelling(self.surfaces()) if self.settings.level_floor else None
+
+
+def map_lidar_run(
+    log: LidarLog,
+    settings: LidarSettings,
+    loops: LoopSettings | None = None,
+    *,
+    close: bool = True,
+    phase: Phase | None = None,
+    checkpoints: Checkpoints | None = None,
+) -> LidarRun:
+    """Find the poses of a log: arguments and errors as of :func:`build_lidar_map`."""
+    phase, loops = phase or silent, loops or LoopSettings()
+    begun = None if checkpoints is None else checkpoints.find(log, settings, loops)
+    slam: LidarSlam
+    used: list[int]
+    if begun is not None:
+        slam, unusable, used = begun.state
+        unusable.log = log
+    else:
+        velocity = LidarOdometry.first_velocity(settings, list(itertools.islice(log, 2)))
+        slam = LidarSlam(settings, loops, close=close, velocity=velocity, begin=log.mount)
+        unusable, used = UnusableScans(log), []
     with phase("mapping", log.fraction) as progress:
         for number, scan in enumerate(log):
+            if begun is not None and number < begun.readings:
+                continue
+            if checkpoints is not None:
+                checkpoints.keep(log, settings, loops, number, (slam, unusable, used))
             try:
                 missed = slam.register(scan).missed
             except (BoundsError, TooLargeError) as error:
@@ -120,17 +184,22 @@ def build_lidar_map(
     warnings = [*log.warnings, *unusable.warnings]
     with phase("closing loops", lambda: 0.0):
         result = slam.finish()
-    surfaces = slam.surfaces()
-    levelled = None
-    turn = Pose.identity(3)
-    if settings.level_floor:
-        found = levelling(surfaces)
-        if found is not None:
-            turn, levelled = found, float(angles(found.rotation[None])[0])
+    how = "kiss-icp, surfaces" + (" and loop closure" if close else "")
+    return LidarRun(log, settings, slam, result, used, warnings, how)
+
+
+def fuse_lidar_run(
+    run: LidarRun, turn: Pose | None, *, on_pose: OnPose | None = None, phase: Phase | None = None
+) -> LidarMappingResult:
+    """Fuse the scans of a run at its poses, which are turned by ``turn`` (T_map_run) first; None: as they are."""
+    log, settings, slam, result = run.log, run.settings, run.slam, run.result
+    phase = phase or silent
     fuser = _Fuser(log, settings, on_pose)
-    chosen = set(used)
-    poses = [result.pose(k) for k in range(len(used))]
-    drawn = _Drawing(surfaces, settings)
+    chosen = set(run.used)
+    poses = [result.pose(k) for k in range(len(run.used))]
+    levelled = None if turn is None else float(angles(turn.rotation[None])[0])
+    turn = turn or Pose.identity(3)
+    drawn = _Drawing(run.surfaces(), settings)
     with phase("fusing", log.fraction) as progress:
         k = 0
         for number, scan in enumerate(log):
@@ -148,18 +217,18 @@ def build_lidar_map(
             spatial.compose(spatial.of_pose(turn), result.graph.poses))
     )  # fmt: skip
     return LidarMappingResult(
-        map=fuser.build("kiss-icp, surfaces" + (" and loop closure" if close else "")),
-        scans=len(used),
+        map=fuser.build(run.how),
+        scans=len(run.used),
         matched=slam.matched,
         unmatched=slam.unmatched,
         missed=slam.missed,
         skipped=0,
         mean_share=slam.mean_share,
         metres=fuser.recorder.metres,
-        warnings=warnings,
+        warnings=run.warnings,
         levelled=levelled,
-        poses=Trajectory.from_poses(result.stamps.tolist(), final),
-        slam=moved,
+        poses=Trajectory.from_poses(result.stamps.tolist(), [fuser.of_robot(pose) for pose in final]),
+        slam=moved if log.mount is None else moved.of_robot(log.mount),
     )
 
 
@@ -173,14 +242,14 @@ def fuse_lidar_log(
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
 ) -> LidarMappingResult:
-    """Map a LiDAR's log whose poses (T_map_sensor) are known.
+    """Map a LiDAR's log whose poses (T_map_robot, of the sensor where its mount is not known) are known.
 
     Poses go with scans by order where there are as many, else by time: each scan is put between the poses before and
     after its stamp, of which the nearer one must be no more than ``tolerance`` seconds off.
 
     Args:
         log: an open log.
-        poses: T_map_sensor; of a robot's poses T_map_robot the log's mount makes them, where it has one.
+        poses: T_map_robot; T_map_sensor where the log does not say how the sensor is mounted.
         settings: all settings of the map.
         associate: "order" or "time" insists on one of them.
         tolerance: seconds.
@@ -232,7 +301,7 @@ def fuse_lidar_log(
     return LidarMappingResult(
         map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, missed=0, skipped=skipped,
         mean_share=math.nan, metres=fuser.recorder.metres, warnings=[*log.warnings, *unusable.warnings], levelled=None,
-        poses=Trajectory.from_poses(stamps, placed), slam=None,
+        poses=Trajectory.from_poses(stamps, [fuser.of_robot(pose) for pose in placed]), slam=None,
     )  # fmt: skip
 
 
@@ -242,6 +311,7 @@ class _Fuser:
     def __init__(self, log: LidarLog, settings: LidarSettings, on_pose: OnPose | None) -> None:
         self._log, self._settings = log, settings
         self._builder = settings.make_builder()
+        self._back = None if log.mount is None else log.mount.inverse()
         self.recorder = PoseRecorder(on_pose)
 
     def fuse(self, scan: Scan, pose: Pose) -> None:
@@ -249,7 +319,11 @@ class _Fuser:
             self._builder.fuse(scan, pose)
         else:
             self._builder.add_hits(scan, pose)
-        self.recorder.add(scan.stamp, pose, True)
+        self.recorder.add(scan.stamp, self.of_robot(pose), True)
+
+    def of_robot(self, pose: Pose) -> Pose:
+        """Return T_map_robot of a pose T_map_sensor."""
+        return pose if self._back is None else pose @ self._back
 
     def build(self, how: str) -> Map:
         return self._builder.build(source=provenance(self._log, self._settings, how), finish=True)

@@ -13,8 +13,10 @@ from hexmap.base.arrays import FloatArray, IntArray, frozen
 from hexmap.base.errors import ArgumentError
 from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox, box_coordinates
+from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["SearchRegion", "SearchWindow", "shifts_in_ball"]
+__all__ = ["SearchRegion", "SearchWindow", "cells_of_box", "shifts_in_ball"]
 
 
 @dataclass(frozen=True)
@@ -92,3 +94,10 @@ def shifts_in_ball(lattice: Lattice, metres: float) -> IntArray:
     offsets = offsets[(lattice.centres(offsets) ** 2).sum(axis=1) <= (metres * (1.0 + 1e-12)) ** 2]
     offsets.setflags(write=False)
     return offsets
+
+
+def cells_of_box(lattice: Lattice, low: FloatArray, high: FloatArray) -> VoxelList:
+    """Return all cells of a box, whose corners (n,) are in metres, and those around it."""
+    u = box_coordinates(lattice.basis, low, high)
+    first, last = np.floor(u.min(axis=0)).astype(np.int64) - 1, np.ceil(u.max(axis=0)).astype(np.int64) + 1
+    return VoxelList.from_cells(IndexBox.of_corners(first, last).cells(), lattice)

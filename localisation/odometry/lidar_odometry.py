@@ -11,12 +11,11 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
-from hexmap.base.errors import BoundsError, MissingDependencyError, TooLargeError
+from hexmap.base.errors import BoundsError, TooLargeError
 from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
@@ -28,16 +27,15 @@ from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
 from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
+from localisation.odometry.kiss import KissOdometry, import_kiss_icp
 from localisation.odometry.sweep import Velocity, deskewed
 from localisation.settings import limit_of
 
-__all__ = ["LidarOdometry", "RegisteredSweep", "import_kiss_icp", "surface_lattice"]
+__all__ = ["LidarOdometry", "RegisteredSweep", "surface_lattice"]
 
 # KISS-ICP's voxels are a metre for sensors that see a hundred: indoors as many of them fit into what the first scan
 # sees, down to what the thickness of furniture allows.
 _VOXELS_A_SCAN = 15.0
-# Its own range, metres, where there is no limit.
-_KISS_RANGE = 100.0
 _VOXEL = (0.25, 1.0)
 # A surface's cell in KISS-ICP's voxels: planes are found in it, and points within half of it find them.
 _SURFACE = 0.75
@@ -63,23 +61,6 @@ _LEAST_MET = 0.35
 _MOST_MISSED = 5
 # Scans that KISS-ICP's map is made of again where it was lost.
 _KEPT = 10
-
-
-def import_kiss_icp() -> Any:
-    """Return the class KissICP and what makes its configuration.
-
-    Raises:
-        MissingDependencyError: it is not installed, or cannot be loaded.
-    """
-    try:
-        from kiss_icp.config import KISSConfig
-        from kiss_icp.kiss_icp import KissICP
-    except (ImportError, OSError) as error:
-        raise MissingDependencyError(
-            f"the odometry of a LiDAR needs the package kiss-icp, which cannot be loaded ({error}); "
-            "pip install 'hexmap[lidar]', or give --poses"
-        ) from error
-    return KissICP, KISSConfig
 
 
 def surface_lattice(lattice: Lattice, points: FloatArray) -> tuple[Lattice, float]:
@@ -137,8 +118,15 @@ class LidarOdometry:
         found: those of them that lay elsewhere than KISS-ICP had put them.
     """
 
-    def __init__(self, settings: LidarSettings, velocity: Velocity | None = None) -> None:
-        """Begin at the origin of the map; ``velocity`` is the sensor's in the first sweep, where it is known.
+    def __init__(
+        self, settings: LidarSettings, velocity: Velocity | None = None, begin: Pose | None = None
+    ) -> None:
+        """Begin with no map.
+
+        Args:
+            settings: of the map.
+            velocity: the sensor's in the first sweep, where it is known.
+            begin: T_map_sensor of the first scan; None: the origin.
 
         Raises:
             MissingDependencyError: kiss-icp cannot be loaded.
@@ -146,9 +134,8 @@ class LidarOdometry:
         import_kiss_icp()
         self.settings = settings
         self.surfaces: SurfaceMap | None = None
-        self._kiss: Any = None
-        self._kiss_pose = Pose.identity(3)
-        self._pose = Pose.identity(3)
+        self._kiss: KissOdometry | None = None
+        self._pose = self._kiss_pose = begin or Pose.identity(3)
         self._stamp: float | None = None
         self._velocity = velocity
         self._usual: float | None = None
@@ -164,20 +151,10 @@ class LidarOdometry:
 
     def _begin_kiss_icp(self) -> None:
         """Begin KISS-ICP anew, from the last scans where they are."""
-        KissICP, KISSConfig = import_kiss_icp()
-        config = KISSConfig()
-        # Scans come deskewed and within their ranges. One thread, so that a log gives the same bits on any machine.
-        config.data.deskew = False
-        limit = limit_of(self.settings.max_range)
-        # It counts turns by how far they move what is at its range, and ends the process where that is infinite.
-        config.data.min_range, config.data.max_range = 0.0, limit if math.isfinite(limit) else _KISS_RANGE
-        config.mapping.voxel_size = self._voxel
-        config.registration.max_num_threads = 1
-        self._kiss = KissICP(config)
-        self._kiss.last_pose = self._pose.matrix()
+        self._kiss = KissOdometry(self._voxel, limit_of(self.settings.max_range), self._pose)
         self._kiss_pose = self._pose
         for points, pose in self._recent:
-            self._kiss.local_map.update(points, pose.matrix())
+            self._kiss.add(points, pose)
 
     @classmethod
     def first_velocity(cls, settings: LidarSettings, scans: Sequence[Scan]) -> Velocity | None:
@@ -212,8 +189,8 @@ class LidarOdometry:
             self._begin(points if len(points) else np.ones((1, 3)))
         assert self.surfaces is not None
         thin = first_of_each_cell(points, self._thin)
-        self._kiss.register_frame(thin if len(thin) else np.zeros((1, 3)), np.empty(0))
-        kiss_pose = Pose.from_matrix(self._kiss.last_pose)
+        assert self._kiss is not None
+        kiss_pose = self._kiss.register(thin if len(thin) else np.zeros((1, 3)))
         predicted = self._pose @ (self._kiss_pose.inverse() @ kiss_pose)
         self._kiss_pose = kiss_pose
         before = self._pose
@@ -289,7 +266,8 @@ class LidarOdometry:
         self._recent.clear()
         self._begin(points if len(points) else np.ones((1, 3)))
         self._recent.append((first_of_each_cell(points, self._thin), pose))
-        self._kiss.local_map.update(self._recent[-1][0], pose.matrix())
+        assert self._kiss is not None
+        self._kiss.add(self._recent[-1][0], pose)
         if surfaces is not None:
             self.surfaces = surfaces
 

@@ -15,13 +15,11 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.lattice.lattice import Lattice
-from hexmap.lattice.window import IndexBox, box_coordinates
-from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import angles
 from localisation.matching.global_matcher import GlobalMatcher
 from localisation.matching.match import Match
-from localisation.matching.search_region import SearchRegion
+from localisation.matching.search_region import SearchRegion, cells_of_box
 from localisation.matching.surfaces import Drawn
 from localisation.slam import spatial
 from localisation.slam.lidar_submap import LevelSubmap, LidarSubmap, SubmapShelf
@@ -186,7 +184,7 @@ class LidarLoopCloser(LoopSearch):
         tilt = min(sigmas * radians, _MOST_TILT)
         # Drawing takes up a tilt that moves points by a cell.
         tilt = tilt if tilt * reach > cell else 0.0
-        matcher = GlobalMatcher(old.pyramid, _box(old.pyramid.lattice, low, high))
+        matcher = GlobalMatcher(old.pyramid, cells_of_box(old.pyramid.lattice, low, high))
         return matcher.match(
             new.searched,
             SearchRegion(low, high, yaw, min(math.pi, sigmas * radians + cell / reach), tilt),
@@ -198,10 +196,3 @@ class LidarLoopCloser(LoopSearch):
             information=False,
             node_limit=_NODES,
         )
-
-
-def _box(lattice: Lattice, low: FloatArray, high: FloatArray) -> VoxelList:
-    """Return all cells of a box, whose corners are in metres, and those around it."""
-    u = box_coordinates(lattice.basis, low, high)
-    first, last = np.floor(u.min(axis=0)).astype(np.int64) - 1, np.ceil(u.max(axis=0)).astype(np.int64) + 1
-    return VoxelList.from_cells(IndexBox.of_corners(first, last).cells(), lattice)

@@ -8,7 +8,7 @@ relative to nodes, so that whatever moves a node moves what was seen from it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,8 +48,8 @@ class LidarSlamResult:
 
     Attributes:
         stamps: (N,) seconds.
-        poses: (N, 12) T_map_sensor as rows, see :mod:`localisation.slam.spatial`.
-        covariances: (N, 6, 6) of a small motion in the sensor's frame, relative to the first pose.
+        poses: (N, 12) T_map_sensor as rows, see :mod:`localisation.slam.spatial`; T_map_robot after :meth:`of_robot`.
+        covariances: (N, 6, 6) of a small motion in the frame of the sensor (robot), relative to the first pose.
         records: every loop that was tried.
         graph: nodes and edges.
         node_scans: which sweep each node is.
@@ -67,6 +67,34 @@ class LidarSlamResult:
     def pose(self, number: int) -> Pose:
         """Return T_map_sensor of a sweep."""
         return spatial.to_pose(self.poses[number])
+
+    def of_robot(self, T_robot_sensor: Pose) -> LidarSlamResult:
+        """Return the same for the robot that the sensor is mounted on: T_map_robot, and motions in its frame."""
+        mount = spatial.of_pose(T_robot_sensor)
+        back, A = spatial.invert(mount), spatial.adjoint(mount)
+
+        def seen(row: FloatArray) -> FloatArray:
+            return spatial.compose(spatial.compose(mount, row), back)
+
+        graph = PoseGraph(spatial.SPACE)
+        for pose in spatial.compose(self.graph.poses, back):
+            graph.add_node(pose)
+        for edge in self.graph.edges:
+            graph.add_edge(replace(edge, pose=seen(edge.pose), covariance=A @ edge.covariance @ A.T))
+        graph.weights = list(self.graph.weights)
+        records = [
+            record if record.pose is None else replace(record, pose=tuple(seen(np.array(record.pose)).tolist()))
+            for record in self.records
+        ]
+        records = [
+            record if record.covariance is None
+            else replace(record, covariance=tuple(map(tuple, (A @ np.array(record.covariance) @ A.T).tolist())))
+            for record in records
+        ]  # fmt: skip
+        return replace(
+            self, poses=spatial.compose(self.poses, back), covariances=A @ self.covariances @ A.T, records=records,
+            graph=graph,
+        )  # fmt: skip
 
 
 class LidarSlam:
@@ -89,6 +117,7 @@ class LidarSlam:
         *,
         close: bool = True,
         velocity: Velocity | None = None,
+        begin: Pose | None = None,
     ) -> None:
         """Begin with an empty map.
 
@@ -97,13 +126,14 @@ class LidarSlam:
             loops: how loops are looked for.
             close: whether they are.
             velocity: of the sensor in the first sweep, where it is known.
+            begin: T_map_sensor of the first sweep; None: the origin of the map.
 
         Raises:
             MissingDependencyError: gtsam or kiss-icp cannot be loaded.
         """
         import_gtsam()
         self.settings, self.loops, self._close = settings, loops or LoopSettings(), close
-        self._odometry = LidarOdometry(settings, velocity)
+        self._odometry = LidarOdometry(settings, velocity, begin)
         self._fine = settings.make_lattice()
         self._thin = self._fine.scaled(_THIN)
         self.graph = PoseGraph(spatial.SPACE)
@@ -284,12 +314,12 @@ class LidarSlam:
         records = [] if self.closer is None else self.closer.records
         return LidarSlamResult(np.array(self._stamps), poses, covariances, records, self.graph, self._node_scans)
 
-    def surfaces(self) -> SurfaceMap:
-        """Return the surfaces of all submaps where the graph has them now."""
+    def surfaces(self, poses: FloatArray) -> SurfaceMap:
+        """Return the surfaces of all submaps whose nodes are at ``poses`` (K, 12)."""
         assert self._odometry.surfaces is not None
         surfaces = SurfaceMap(self._odometry.surfaces.lattice)
         for submap in self.submaps:
-            pose = spatial.to_pose(self.graph.pose(submap.number))
+            pose = spatial.to_pose(poses[submap.number])
             surfaces.add(pose.apply(submap.points.astype(np.float64)))
         return surfaces
 

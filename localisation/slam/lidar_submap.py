@@ -6,6 +6,7 @@ import math
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,6 +145,10 @@ class SubmapShelf:
         """Begin with none; ``lattice`` is that of the surfaces."""
         self.lattice, self._kept = lattice, kept
         self._shelf: OrderedDict[int, tuple[bytes, LevelSubmap]] = OrderedDict()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the submaps: they are made again when they are asked for."""
+        return {**self.__dict__, "_shelf": OrderedDict()}
 
     def of(self, submap: LidarSubmap, pose: Pose) -> LevelSubmap:
         """Return a submap in axes parallel to the map's by its node's pose T_map_node."""

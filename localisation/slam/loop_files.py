@@ -62,8 +62,8 @@ def write_covariances(path: str | os.PathLike[str], result: SlamResult | LidarSl
 
     Columns: stamp in seconds, whether it is a scan, the pose T_map_robot in metres and radians, and the upper triangle
     of the covariance of x, y and heading in the map's frame, relative to the first pose. In space a line for each scan:
-    stamp, place and quaternion of T_map_sensor, and the upper triangle of the covariance of a translation and a
-    rotation vector in the map's axes, about the sensor.
+    stamp, place and quaternion of T_map_robot, and the upper triangle of the covariance of a translation and a
+    rotation vector in the map's axes, about the robot; the robot is the sensor where its mount is not known.
 
     Raises:
         FileAccessError: the folder is missing or not writable.

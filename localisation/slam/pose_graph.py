@@ -96,8 +96,9 @@ class PoseGraph:
         return len(self._poses)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what gtsam made: it is made again."""
-        return {**self.__dict__, "_factors": [], "_known": {}, "_solver": None}
+        """Leave out what gtsam and scipy made: it is made again."""
+        # Covariances stay: made again with more nodes in the graph, their last bits might be others.
+        return {**self.__dict__, "_factors": [], "_solver": None}
 
     @property
     def poses(self) -> FloatArray:

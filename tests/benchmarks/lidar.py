@@ -45,7 +45,8 @@ from localisation.evaluation import absolute_error
 from localisation.lidar_settings import LidarSettings
 from localisation.mapping.lidar_map import LidarMappingResult, build_lidar_map
 from localisation.matching.surfaces import first_of_each_cell
-from localisation.odometry.lidar_odometry import import_kiss_icp, surface_lattice
+from localisation.odometry.kiss import import_kiss_icp
+from localisation.odometry.lidar_odometry import surface_lattice
 from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from tests.benchmarks._common import data_folder, table, versions

@@ -13,7 +13,10 @@ import pytest
 from hexmap.cli import main
 from hexmap.io.map_file import load_map
 from hexmap.io.trajectories import read_tum
+from hexmap.poses.pose import Pose
+from hexmap.poses.trajectory import Trajectory
 from localisation.evaluation import absolute_error
+from tests.io.lidar.clouds import CloudBag, xyz
 from tests.lattices import JIT
 
 pytestmark = pytest.mark.skipif(not JIT, reason="whole drives take minutes without the compiler")
@@ -125,7 +128,7 @@ def test_given_poses_need_no_odometry(
 @pytest.mark.parametrize(
     "options",
     [
-        ("--continue", "old.parquet"), ("--checkpoint", "c"), ("--clear-no-return", 5), ("--mount", 0, 0, 0),
+        ("--clear-no-return", 5), ("--mount", 0, 0, 0),
         ("--search-metres", 1), ("--search-degrees", 1), ("--search-level", 1), ("--no-odometry",),
         ("--laser", "FLASER"),
         ("--odometry-topic", "/odom"), ("--loops-picture", "l.png"), ("--angle-min", -90), ("--angle-step", 1),
@@ -179,9 +182,78 @@ def test_wrong_values_are_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_several_lidar_logs_are_for_merge(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    err = failure(capsys, 2, run / "run", run / "scans", "-o", tmp_path / "m.parquet")
-    assert "one log of a LiDAR makes a map, not 2; hexmap merge puts maps together" in err
+def test_a_bag_with_tf_is_mapped_by_the_robots_poses(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hexmap.io.lidar import open_lidar
+    from hexmap.io.trajectories import write_tum
+
+    mount = Pose.from_quaternion([0.3, 0.0, 1.0], [0.0, 0.1, 0.0, 1.0])
+    scans = [scan for k, scan in enumerate(open_lidar(run / "run")) if k < 4]
+    with CloudBag(tmp_path, "mcap") as bag:
+        bag.transforms(0.0, ("base_link", "lidar", mount))
+        for scan in scans:
+            bag.write(xyz(scan.points[::4]), scan.stamp)
+    poses = [pose @ mount.inverse() for k, pose in enumerate(read_tum(run / "run.tum")) if k < 4]
+    write_tum(tmp_path / "robot.tum", Trajectory.from_poses([scan.stamp for scan in scans], poses))
+    out = tmp_path / "m.parquet"
+    options = ("--poses", tmp_path / "robot.tum", "--trajectory", tmp_path / "m.tum", *QUICK)
+    capsys.readouterr()
+    assert call("build", bag.path, "-o", out, *options) == 0
+    said = capsys.readouterr().out
+    assert "the LiDAR on the robot ('base_link'): (0.300, 0.000, 1.000) m, turned by 0.0, 11.4, 0.0 degrees" in said
+    assert "poses of the robot ('base_link') at the scans' stamps" in said
+    assert all(a.is_close(b, 1e-6, 1e-6) for a, b in zip(read_tum(tmp_path / "m.tum"), poses, strict=True))
+    centres = load_map(out).levels[0].hits.centres()
+    # The floor that the robot stands on is where it was.
+    assert np.abs(centres[:, 2]).min() < 0.2 and np.quantile(centres[:, 2], 0.02) > -0.5
+    assert call("info", bag.path) == 0
+    assert "the LiDAR on the robot ('base_link')" in capsys.readouterr().out
+
+
+def two_runs(run: Path, folder: Path) -> tuple[Path, Path]:
+    """Two folders of scans, the last six of the first being the first six of the second."""
+    for name, chosen in (("a", slice(0, 14)), ("b", slice(8, SCANS))):
+        (folder / name).mkdir()
+        for file in sorted((run / "scans").iterdir())[chosen]:
+            (folder / name / file.name).write_bytes(file.read_bytes())
+    return folder / "a", folder / "b"
+
+
+def test_several_logs_are_mapped_together(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    a, b = two_runs(run, tmp_path)
+    both = tmp_path / "both.parquet"
+    capsys.readouterr()
+    options = (*QUICK, "--no-free-space")
+    assert call("build", a, b, "-o", both, "--trajectory", tmp_path / "both.tum", *options) == 0
+    out = capsys.readouterr().out
+    assert "14 scans" in out and "16 scans" in out
+    assert f"{b}: begins at (" in out and "1 of its 1 parts lie on it" in out
+    # The frame is that of the first run, and scans that both have lie where they lay.
+    poses = read_tum(tmp_path / "both.tum")
+    assert len(poses) == 30
+    for k in range(8, 14):
+        assert poses[k].is_close(poses[k + 6], 0.1, 0.02)
+    built = load_map(both)
+    assert len(built.sources()) == 2 and len({source["frame"] for source in built.sources()}) == 1
+    err = failure(capsys, 1, a, "-o", tmp_path / "m.parquet", "--continue", both)
+    assert f"it is in {both} already" in err
+    err = failure(capsys, 2, run / "run", "-o", tmp_path / "m.parquet", "--continue", both, "--no-loop-closure")
+    assert "--continue and --no-loop-closure do not go together" in err
+    err = failure(capsys, 2, run / "run", "-o", tmp_path / "m.parquet", "--continue", both, "--resolution", 0.4)
+    assert "goes on with these, not with D3 at 0.4 m" in err
+
+
+@pytest.mark.long
+def test_a_map_goes_on_with_another_run(run: Path, tmp_path: Path) -> None:
+    a, b = two_runs(run, tmp_path)
+    both, first, second = (tmp_path / f"{name}.parquet" for name in ("both", "first", "second"))
+    options = (*QUICK, "--no-free-space")
+    assert call("build", a, b, "-o", both, "--picture", tmp_path / "both.png", *options) == 0
+    assert call("build", a, "-o", first, *options) == 0
+    assert call("build", b, "-o", second, "--continue", first) == 0
+    assert load_map(second) == load_map(both), "with the settings of the map"
+    assert (tmp_path / "both.png").stat().st_size > 0
 
 
 def test_damage_is_warned_of_and_the_rest_is_mapped(

@@ -13,7 +13,8 @@ from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from hexmap.simulator.space import Drive3D, RingLidar
 from localisation.lidar_settings import LidarSettings
-from localisation.odometry.lidar_odometry import LidarOdometry, RegisteredSweep, import_kiss_icp
+from localisation.odometry.kiss import import_kiss_icp
+from localisation.odometry.lidar_odometry import LidarOdometry, RegisteredSweep
 from tests.localisation.slam.lidar_drives import SimulatedLidarLog, hall, off, plain
 
 

@@ -20,10 +20,24 @@ Columns: TypeAlias = Sequence[str | int]
 
 @dataclass
 class Raw:
-    """What a reader hands over: values (N, 2) or (N, 3) as stored, and what was not as it should be."""
+    """What a reader hands over.
+
+    Attributes:
+        values: (N, 2) or (N, 3) as stored.
+        warnings: what was not as it should be.
+        further: further columns (N,) by their names, those of them that the file has.
+    """
 
     values: FloatArray
     warnings: list[str] = field(default_factory=list)
+    further: dict[str, FloatArray] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, values: FloatArray, further: Sequence[str], warnings: Sequence[str] = ()) -> Raw:
+        """Make one of a table whose last columns are ``further`` ones."""
+        n = values.shape[1] - len(further)
+        columns = {name: np.ascontiguousarray(values[:, n + k]) for k, name in enumerate(further)}
+        return cls(values[:, :n], list(warnings), columns)
 
     __repr__ = one_line
 
@@ -57,6 +71,13 @@ def choose_columns(path: Path, names: Sequence[str], columns: Columns | None, wh
             have = " ".join(shown(name) for name in names[:12]) + (" ..." if len(names) > 12 else "")
             raise FormatError(f"{path}: no {shown(str(column))!r} among the {what} of the file: {have or 'none'}")
     return found
+
+
+def further_columns(names: Sequence[str], is_number: Sequence[bool], wanted: Sequence[str]) -> dict[str, int]:
+    """Return the places of those of the columns ``wanted``, in small letters, that a file has and that hold numbers."""
+    listed = [name.lower() for name in names]
+    places = {name: listed.index(name) for name in wanted if name in listed}
+    return {name: place for name, place in places.items() if is_number[place]}
 
 
 def gather(records: NDArray[np.void], names: Sequence[str]) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
 from hexmap.base.text import plural, shown, whole_number
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, further_columns, gather
 from hexmap.io.clouds.lzf import LzfError, inflate
 
 __all__ = ["read_pcd"]
@@ -64,7 +65,7 @@ class _Header:
         return values
 
 
-def read_pcd(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
+def read_pcd(path: Path, data: bytes, columns: Columns | None = None, further: Sequence[str] = ()) -> Raw:
     """Read x, y (and z) of a PCD file held in ``data``.
 
     Fields of any type and size, and others beside the coordinates, are understood. VIEWPOINT,
@@ -74,6 +75,7 @@ def read_pcd(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
         path: the file, for messages.
         data: its content.
         columns: names of the fields to take instead of x, y, z.
+        further: names of fields to take beside them, where the file has them.
 
     Raises:
         FormatError: the file is damaged, cut off or has no such fields.
@@ -89,6 +91,8 @@ def read_pcd(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
             raise header.error(
                 "COUNT", f"field {header.names[place]!r} has {header.counts[place]} values a point, expected 1"
             )
+    beside = further_columns(header.names, [count == 1 for count in header.counts], further)
+    chosen += beside.values()
     if header.points == 0:
         values = np.empty((0, len(chosen)))
     elif header.kind == "ascii":
@@ -97,7 +101,7 @@ def read_pcd(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
         values = _read_binary(header, data, chosen)
     else:
         values = _read_compressed(header, data, chosen)
-    return Raw(values, warnings)
+    return Raw.of(values, list(beside), warnings)
 
 
 def _floats(tokens: list[str]) -> list[float] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import FormatError
 from hexmap.base.text import plural, shown, whole_number
-from hexmap.io.clouds.columns import Columns, Raw, choose_columns, gather
+from hexmap.io.clouds.columns import Columns, Raw, choose_columns, further_columns, gather
 
 __all__ = ["read_ply"]
 
@@ -53,7 +54,7 @@ class _Element:
         return sum(struct.calcsize("<" + p.letter) for p in self.properties)
 
 
-def read_ply(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
+def read_ply(path: Path, data: bytes, columns: Columns | None = None, further: Sequence[str] = ()) -> Raw:
     """Read x, y (and z) of the element ``vertex`` of a PLY file held in ``data``.
 
     Properties of any numeric type, list properties, and other elements before and after the
@@ -63,6 +64,7 @@ def read_ply(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
         path: the file, for messages.
         data: its content.
         columns: names of the properties to take instead of x, y, z.
+        further: names of properties to take beside them, where the file has them.
 
     Raises:
         FormatError: the file is damaged, cut off or has no such properties.
@@ -80,15 +82,21 @@ def read_ply(path: Path, data: bytes, columns: Columns | None = None) -> Raw:
     for place in chosen:
         if element.properties[place].length is not None:
             raise FormatError(f"{path}: the property {shown(element.properties[place].name)!r} is a list, not a number")
+    is_number = [p.length is None for p in element.properties]
+    beside = further_columns([p.name for p in element.properties], is_number, further)
+    chosen += beside.values()
     if element.count == 0:
-        return Raw(np.empty((0, len(chosen))))
-    if not order:
-        return Raw(_read_ascii(path, data, start, line, before, element, chosen))
-    for other in before:
-        start = _walk(path, data, start, other, order, [])[1]
-    if element.has_lists:
-        return Raw(_walk(path, data, start, element, order, chosen)[0])
-    return Raw(_read_binary(path, data, start, element, order, chosen))
+        values = np.empty((0, len(chosen)))
+    elif not order:
+        values = _read_ascii(path, data, start, line, before, element, chosen)
+    else:
+        for other in before:
+            start = _walk(path, data, start, other, order, [])[1]
+        if element.has_lists:
+            values = _walk(path, data, start, element, order, chosen)[0]
+        else:
+            values = _read_binary(path, data, start, element, order, chosen)
+    return Raw.of(values, list(beside))
 
 
 def _read_header(path: Path, data: bytes) -> tuple[str, list[_Element], int, int]:

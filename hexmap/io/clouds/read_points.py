@@ -6,7 +6,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -54,6 +54,7 @@ class PointFile:
         format: what it was read as, one of ``FORMATS``.
         warnings: what was not as it should be, one line each, each naming the file.
         offset: (n,) metres that were taken off the points: what is at 0 here is there in the file's coordinates.
+        further: further columns (N,) float64 by their names, those that were asked for and are in the file.
     """
 
     points: NDArray[np.float64]
@@ -62,6 +63,7 @@ class PointFile:
     format: str
     warnings: tuple[str, ...] = ()
     offset: tuple[float, ...] = ()
+    further: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     __repr__ = one_line
 
@@ -84,6 +86,7 @@ def read_points(
     columns: Sequence[str | int] | None = None,
     delimiter: str | None = None,
     offset: Sequence[float] | Literal["auto"] | None = None,
+    further: Sequence[str] = (),
 ) -> PointFile:
     """Read the points of a file; its format is found by its content, then by its name.
 
@@ -109,6 +112,8 @@ def read_points(
         offset: metres that are taken off the points, along the axes of the result: coordinates of surveyors, millions
             of metres large, fit no lattice's indices. "auto": the first point, to whole hundreds of metres, where a
             coordinate is beyond 100 km. None: nothing.
+        further: names, in small letters, of columns to return beside the points where a PCD or PLY file has them, such
+            as the time of each point.
 
     Raises:
         ArgumentError: an unknown format, unit, axes or delimiter, columns that are not two or three, or an offset that
@@ -132,33 +137,34 @@ def read_points(
         raise ArgumentError(f"columns of a file of format {kind} are two or three, not {columns!r}")
     # nuScenes' files have the ring as well.
     usual = 5 if asked is None and path.name.lower().removesuffix(".gz").endswith(".pcd.bin") else 4
-    raw = _reader(kind, separator, usual)(path, data, wanted)
-    values, dropped, warnings = _in_metres(path, raw, order, axes, scale)
+    raw = _reader(kind, separator, usual, further)(path, data, wanted)
+    values, kept, warnings = _in_metres(path, raw, order, axes, scale)
     coarse = _coarseness(raw.values, kind)
     if coarse:
         warnings.append(coarse)
     values, taken_off = _without_offset(path, values, shift, warnings)
     return PointFile(
         points=np.ascontiguousarray(values),
-        dropped=dropped,
+        dropped=len(kept) - int(np.count_nonzero(kept)),
         path=path,
         format=kind,
         warnings=tuple(f"{path.name}: {text}" for text in warnings),
         offset=taken_off,
+        further={name: column[kept] for name, column in raw.further.items()},
     )
 
 
 def _in_metres(
     path: Path, raw: Raw, order: list[tuple[int, float]], axes: str, scale: tuple[float, float]
-) -> tuple[NDArray[np.float64], int, list[str]]:
-    """Return the finite points in metres along the axes, how many others there were, and warnings."""
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], list[str]]:
+    """Return the finite points in metres along the axes, which of all points these are, and warnings."""
     if len(raw.values) == 0:
         raise FormatError(f"{path}: no points in the file")
     values = _oriented(path, raw.values, order, axes)
     with np.errstate(over="ignore", invalid="ignore"):
         # A division, because 1/100 has no exact float64 and 7 cm would not be 0.07 m.
         values = values / scale[1] if scale[1] != 1.0 else values * scale[0]
-    finite = np.isfinite(values).all(axis=1)
+    finite = np.asarray(np.isfinite(values).all(axis=1))
     dropped = len(values) - int(np.count_nonzero(finite))
     if dropped == len(values):
         raise FormatError(f"{path}: none of the {plural(dropped, 'point')} in the file is finite")
@@ -168,7 +174,7 @@ def _in_metres(
         values = values[finite]
     if _is_mirror(order[: values.shape[1]]):
         warnings.append(f"the axes {axes!r} mirror the points")
-    return values, dropped, warnings
+    return values, finite, warnings
 
 
 def _checked_offset(offset: Sequence[float] | str | None) -> tuple[float, ...] | str:
@@ -224,15 +230,17 @@ def _coarseness(values: NDArray[np.float64], kind: str) -> str:
     return f"coordinates up to {most:.10g} in single precision: they stand in steps of {step:g} in the file"
 
 
-def _reader(kind: str, separator: str | None, usual: int) -> Callable[[Path, bytes, Columns | None], Raw]:
+def _reader(
+    kind: str, separator: str | None, usual: int, further: Sequence[str]
+) -> Callable[[Path, bytes, Columns | None], Raw]:
     if kind == "pcd":
         from hexmap.io.clouds.pcd import read_pcd
 
-        return read_pcd
+        return lambda path, data, columns: read_pcd(path, data, columns, further)
     if kind == "ply":
         from hexmap.io.clouds.ply import read_ply
 
-        return read_ply
+        return lambda path, data, columns: read_ply(path, data, columns, further)
     if kind in ("kitti", "npy"):
         from hexmap.io.clouds.binary import read_kitti, read_npy
 

@@ -1,4 +1,4 @@
-"""A folder of point files, one a scan: PCD, PLY, KITTI .bin, NPY, text."""
+"""A folder of point files, one a scan: PCD and PLY, with a time a point where they have one, KITTI .bin, NPY, text."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import HexmapError, LogError
-from hexmap.io.clouds.read_points import read_points
-from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings
+from hexmap.base.text import plural
+from hexmap.io.clouds.read_points import PointFile, read_points
+from hexmap.io.lidar.lidar_log import LidarLog, LidarLogSettings, returned
+from hexmap.io.lidar.point_times import TIME_NAMES, PointTimes
+from hexmap.io.logs.log_account import Tally
 from hexmap.io.read_file import cannot_read
 from hexmap.poses.scan import Scan
 
@@ -84,11 +88,23 @@ class LidarFolder(LidarLog):
             f"no stamps: neither the files' names nor times.txt; taken as {self.settings.rate:g} scans a second",
         )
 
+    def _reset(self) -> None:
+        super()._reset()
+        self._untimed = Tally()
+
+    def _told(self) -> list[str]:
+        texts = super()._told()
+        if self._untimed.count:
+            count = plural(self._untimed.count, "scan")
+            texts.append(f"{count} taken without the times of their points, the first {self._untimed.first}")
+        return texts
+
     def _read(self) -> Iterator[Scan]:
+        times = PointTimes()
         for number, (file, stamp, size) in enumerate(zip(self.files, self.stamps, self._sizes, strict=True)):
             self.position += size
             try:
-                read = read_points(file)
+                read = read_points(file, further=(*TIME_NAMES, "intensity"))
                 if read.dim != 3:
                     raise LogError(f"{file}: points of the plane; a LiDAR's have x, y and z")
             except HexmapError as error:
@@ -99,9 +115,19 @@ class LidarFolder(LidarLog):
                 continue
             if read.dropped:
                 self._dropped.add(file.name, read.dropped)
-            scan = self._clean(stamp, read.points, None, None, number, file.name)
+            scan = self._clean(
+                stamp, read.points, self._times_of(read, stamp, times), read.further.get("intensity"), number, file.name
+            )
             if scan is not None:
                 yield scan
+
+    def _times_of(self, read: PointFile, stamp: float, times: PointTimes) -> FloatArray | None:
+        """Return seconds (N,) after the stamp of the points of a file; None, and counted, where they make no sweep."""
+        try:
+            return times.of(read.further.get, stamp, returned(read.points))
+        except ValueError as error:
+            self._untimed.add(f"{read.path.name}: {error}")
+            return None
 
     def _no_scan(self) -> str:
         return f"{self.path}: none of the {len(self.files)} files can be used as a scan"

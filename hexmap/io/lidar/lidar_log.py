@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, LogError
-from hexmap.base.text import plural
+from hexmap.base.text import plural, shown
 from hexmap.io.logs.log_account import LogAccount, Tally
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
@@ -62,7 +62,9 @@ class LidarLog(LogAccount, ABC):
         size: bytes of it.
         position: bytes read so far, about.
         scans: scans read so far.
-        mount: T_robot_sensor, where the log says so.
+        mount: T_robot_sensor, where the log says so: poses are those of the robot then, else those of the sensor.
+        robot: the robot's frame, where the mount is known, else "".
+        unused: what of a pose the log holds and nothing here uses, in words, or "".
         odometry: readings of another odometry: none are read.
     """
 
@@ -74,7 +76,15 @@ class LidarLog(LogAccount, ABC):
         """Begin; nothing is read yet."""
         self.settings = settings
         self.mount: Pose | None = None
+        self.robot = self.unused = ""
         super().__init__(path, size)
+
+    @property
+    def poses_of(self) -> str:
+        """Whose poses are found and taken, in words."""
+        if self.mount is None:
+            return "the sensor"
+        return f"the robot ('{shown(self.robot)}')" if self.robot else "the robot"
 
     def _reset(self) -> None:
         super()._reset()

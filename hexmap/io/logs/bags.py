@@ -17,7 +17,6 @@ mirrored, so that the mount is a pose of the plane again.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -28,6 +27,7 @@ from hexmap.base.errors import ArgumentError, FileAccessError, LogError, TooLarg
 from hexmap.base.text import plural, reason, shown
 from hexmap.io.logs.bag_frames import FrameTree, Joints, frame_name, transforms
 from hexmap.io.logs.bag_messages import contradiction, message_stamp, odometry_reading, scan_ranges
+from hexmap.io.logs.bag_mount import ODOMETRY, TF, find_frames, first_reading, is_static
 from hexmap.io.logs.bag_sources import BagSource
 from hexmap.io.logs.log import Log, LogSettings, file_size
 from hexmap.io.logs.log_account import Tally
@@ -41,10 +41,6 @@ __all__ = ["BagLog"]
 
 _LASER = "sensor_msgs/msg/LaserScan"
 _ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
-_ODOMETRY = "nav_msgs/msg/Odometry"
-_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-# How many tf messages are looked through for the frames between laser and odometry.
-_TF_LOOK_AHEAD = 5000
 # Below this cosine (25 degrees) between the axes a laser is not planar any more.
 _TILT = 0.9
 # Metres that a laser may move on its robot before where its beams begin is worth a word.
@@ -96,7 +92,7 @@ class BagLog(Log):
                 f"the bag has no sound index ({source.trouble}); read up to its last whole record; {self._advice()}"
             )
         try:
-            self._tf_topics = [topic for topic, kind in source.topics.items() if kind in _TF]
+            self._tf_topics = [topic for topic, kind in source.topics.items() if kind in TF]
             self._refuse_foreign(source)
             self.scan_topic = self._choose_scan(source.topics)
             self.odometry_topic = self._find_odometry(source.topics)
@@ -182,9 +178,9 @@ class BagLog(Log):
 
     def _find_odometry(self, topics: dict[str, str]) -> str | None:
         wanted = self.settings.odometry_topic
-        if wanted is None and _ODOMETRY not in topics.values():
+        if wanted is None and ODOMETRY not in topics.values():
             return None
-        return self._choose(topics, _ODOMETRY, wanted, "odom", "odometry_topic")
+        return self._choose(topics, ODOMETRY, wanted, "odom", "odometry_topic")
 
     def _first_scan(self, source: BagSource) -> str | None:
         """Return the frame of the scans that are read; None where no scan can be decoded.
@@ -209,15 +205,6 @@ class BagLog(Log):
             raise LogError(f"{self.path}: no scan of frame {wanted!r} on {topic}; frames are {names}")
         return None
 
-    def _first_reading(self, source: BagSource) -> tuple[str, str]:
-        """Return the frames of the first odometry message: that of its poses, and the robot's."""
-        if self.odometry_topic is not None:
-            for _, _, raw in source.messages([self.odometry_topic]):
-                with contextlib.suppress(Exception):
-                    message = source.deserialize(raw, self.odometry_topic)
-                    return frame_name(message.header.frame_id), frame_name(message.child_frame_id)
-        return "", ""
-
     def _find_frames(self, source: BagSource) -> str:
         """Find the mount of the laser and, without an odometry topic, the chain of frames to follow.
 
@@ -227,40 +214,28 @@ class BagLog(Log):
         laser = self._first_scan(source)
         if laser is None:
             return ""  # iterating ends with the error about it
-        odometry, robot = self._first_reading(source)
         if not self._tf_topics and self.odometry_topic is None:
             self._notes.append("no odometry: neither nav_msgs/Odometry nor tf")
             return laser
-        bad = self._look_ahead(source, laser, robot)
-        if self.odometry_topic is None:
-            self._tf_chain, _ = self._frames.odometry(laser)
-            if not self._tf_chain:
-                self._notes.append(f"no odometry: tf has no moving frame above the laser's ('{shown(laser)}')")
-            else:
-                odometry, robot = self._tf_chain[0], self._tf_chain[-1]
-        found = self._frames.mount(laser, odometry, robot) if laser != robot else (robot, [], [])
-        if found is None:
+        reading = None if self.odometry_topic is None else first_reading(source, self.odometry_topic)
+        found = find_frames(source, self._tf_topics, laser, reading)
+        self._frames, self._tf_chain = found.tree, found.chain
+        if self.odometry_topic is None and not found.chain:
+            self._notes.append(f"no odometry: tf has no moving frame above the laser's ('{shown(laser)}')")
+        if found.path is None:
             self._notes.append(
                 f"tf does not say how the laser ('{shown(laser)}') is mounted on the robot "
-                f"('{shown(robot or 'base_link')}')"
+                f"('{shown(found.robot or 'base_link')}')"
             )
-        else:
-            self._take_mount(found[1], found[2])
+        elif found.mount is not None:
+            self._take_mount(found.mount)
+            self._path = found.path if found.moves else None
         # Transforms that are followed while the log is read are counted then.
-        followed = self._followed()
-        for topic, tally in bad.items():
-            if topic not in followed:
-                count = plural(tally.count, "transform")
-                self._notes.append(f"{count} of {topic_name(topic)} ignored, the first {tally.first}")
+        self._notes += found.bad_notes(self._followed())
         return laser
 
-    def _take_mount(self, up: list[str], down: list[str]) -> None:
-        """Take the mount that the frames between robot and laser make."""
-        if not up and not down:
-            return
-        T = self._frames.between(up, down)
-        if self._frames.moving([*up, *down]):
-            self._path = (up, down)
+    def _take_mount(self, T: Pose) -> None:
+        """Take the mount in space as one of the plane."""
         tilt = float(T.rotation[2, 2])
         self._mirrored = tilt < 0.0
         if abs(tilt) < _TILT:
@@ -270,40 +245,11 @@ class BagLog(Log):
         # Upside down, R is Rz(yaw) Rx(pi): its first column still is the heading.
         self.mount = Pose.planar(T.x, T.y, T.theta)
 
-    def _look_ahead(self, source: BagSource, laser: str, robot: str) -> dict[str, Tally]:
-        """Take all transforms of tf that stand still, and those that move until the frames are known.
-
-        Frames on a topic called ``tf_static`` stand still; on ``tf`` they may move.
-
-        Returns:
-            Topic -> how many transforms on it were ignored, and why the first was.
-        """
-        bad: dict[str, Tally] = {}
-        static = [topic for topic in self._tf_topics if topic.rsplit("/", 1)[-1] == "tf_static"]
-        moving = [topic for topic in self._tf_topics if topic not in static]
-        for topics in (static, moving):
-            for count, (topic, _, raw) in enumerate(source.messages(topics)):
-                with contextlib.suppress(Exception):
-                    for parent, child, _, T in transforms(source.deserialize(raw, topic)):
-                        if isinstance(T, str):
-                            bad.setdefault(topic, Tally()).add(T)
-                        else:
-                            self._frames.take(parent, child, T, topics is moving)
-                if topics is moving and (count >= _TF_LOOK_AHEAD or self._is_known(laser, robot)):
-                    break
-        return bad
-
-    def _is_known(self, laser: str, robot: str) -> bool:
-        """Tell whether the frames are known that matter."""
-        if self.odometry_topic is not None:
-            return bool(robot) and robot in self._frames.chain(laser)
-        return self._frames.odometry(laser)[1]
-
     def _followed(self) -> list[str]:
         """Return the topics of tf that are read along with the scans."""
         if not self._tf_chain and self._path is None:
             return []
-        return [topic for topic in self._tf_topics if topic.rsplit("/", 1)[-1] != "tf_static"]
+        return [topic for topic in self._tf_topics if not is_static(topic)]
 
     def _events(self) -> Iterator[Event]:
         source = self._open()

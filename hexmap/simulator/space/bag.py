@@ -72,7 +72,8 @@ def write_bag(
     sensor_msgs/PointCloud2 in the frame ``lidar``: x, y, z (metres), intensity (0 to 100) and time (seconds after the
     header's stamp, never positive) as float32, ring as uint16. The header's stamp is the end of the sweep. The TUM file
     holds the true pose at each stamp, T_map_lidar, as a line ``stamp x y z qx qy qz qw``. Points are in the LiDAR's
-    frame at their own time. Rays without return are left out.
+    frame at their own time. Rays without return are left out. There is no tf, so that a map made of the bag has the
+    poses of the LiDAR, as the TUM file does.
 
     The same arguments give the same bytes (with the same versions of rosbags and zstd). Bag and truth appear complete
     or not at all, an older bag of the same name is replaced, and memory does not grow with the length of the run.

@@ -17,6 +17,8 @@ CLOUD, FIELD = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField"
 DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 _STORE1 = get_typestore(Stores.ROS1_NOETIC)
+TF, ODOMETRY = "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+_STORE1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
 
 
 def cloud(
@@ -100,3 +102,32 @@ class CloudBag:
         """Make a type of message known that is not among ROS's own."""
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
         self.store.register(get_types_from_msg(text, name))
+
+    def transforms(self, received: float, *items: tuple[str, str, Any], topic: str = "/tf_static") -> None:
+        """Write a tf message of several (parent, child, T_parent_child or a quaternion that may be none)."""
+        g, types = "geometry_msgs/msg/", self.store.types
+        found = []
+        for parent, child, T in items:
+            t, q = (T.translation.tolist(), T.quaternion().tolist()) if hasattr(T, "quaternion") else ([0.0] * 3, T)
+            transform = types[g + "Transform"](types[g + "Vector3"](*t), types[g + "Quaternion"](*q))
+            found.append(types[g + "TransformStamped"](self._header(received, parent), child, transform))
+        self.message(topic, TF, types[TF](found), received)
+
+    def reading(self, received: float, T: Any, frame: str = "odom", child: str = "base_link") -> None:
+        """Write a reading of the odometry."""
+        g, types = "geometry_msgs/msg/", self.store.types
+        zero = types[g + "Vector3"](0.0, 0.0, 0.0)
+        pose = types[g + "Pose"](types[g + "Point"](*T.translation.tolist()),
+                                 types[g + "Quaternion"](*T.quaternion().tolist()))  # fmt: skip
+        message = types[ODOMETRY](
+            header=self._header(received, frame), child_frame_id=child,
+            pose=types[g + "PoseWithCovariance"](pose, np.zeros(36)),
+            twist=types[g + "TwistWithCovariance"](types[g + "Twist"](zero, zero), np.zeros(36)),
+        )  # fmt: skip
+        self.message("/odom", ODOMETRY, message, received)
+
+    def _header(self, stamp: float, frame: str) -> Any:
+        seconds, nanoseconds = divmod(round(stamp * 1e9), 10**9)
+        time = self.store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+        extra = {"seq": 0} if self.ros1 else {}
+        return self.store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame, **extra)

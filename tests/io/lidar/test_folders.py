@@ -163,3 +163,75 @@ def test_no_scan_at_all_is_one_clear_line(tmp_path: Path) -> None:
     log = open_lidar(tmp_path)
     with pytest.raises(LogError, match=r"none of the 1 files can be used as a scan \(1 file skipped"):
         list(log)
+
+
+SWEEP = np.linspace(0.0, 0.099, 40)
+# As drivers and their recorders write them: name, numpy's type, what it counts, whether from 1970 on.
+TIMES = [
+    ("time", "f4", 1.0, 0.0), ("t", "u4", 1e-9, 0.0), ("offset_time", "u4", 1e-9, 0.0), ("t", "i4", 1e-6, 0.0),
+    ("Timestamp", "f8", 1.0, 1_700_000_000.0), ("timestamp", "f8", 1e-9, 1_700_000_000.0),
+]  # fmt: skip
+
+
+def timed(path: Path, points: np.ndarray, name: str, values: np.ndarray, kind: str) -> None:
+    """Write points with a further column as PCD (ascii, binary) or PLY (ascii, binary, big endian)."""
+    n, letter, size = len(points), {"u": "U", "i": "I", "f": "F"}[values.dtype.kind], values.dtype.itemsize
+    order = ">" if kind == "big" else "<"
+    number = values.dtype.str[1:]
+    rows = np.zeros(n, [("ring", "u1"), (name, order + number), *[(axis, order + "f4") for axis in "xyz"]])
+    rows["ring"], rows[name] = 7, values
+    for k, axis in enumerate("xyz"):
+        rows[axis] = points[:, k]
+    text = "\n".join(f"7 {v!r} {x:.9g} {y:.9g} {z:.9g}" for v, (x, y, z) in zip(values.tolist(), points, strict=True))
+    data = (text + "\n").encode() if kind == "ascii" else rows.tobytes()
+    if path.suffix == ".pcd":
+        head = f"VERSION .7\nFIELDS ring {name} x y z\nSIZE 1 {size} 4 4 4\nTYPE U {letter} F F F\nCOUNT 1 1 1 1 1\n"
+        head += f"WIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA {kind}\n"
+    else:
+        form = {"ascii": "ascii", "binary": "binary_little_endian", "big": "binary_big_endian"}[kind]
+        typed = {"u4": "uint", "i4": "int", "f4": "float", "f8": "double"}[number]
+        head = f"ply\nformat {form} 1.0\nelement vertex {n}\nproperty uchar ring\nproperty {typed} {name}\n"
+        head += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    path.write_bytes(head.encode() + data)
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [(".pcd", "ascii"), (".pcd", "binary"), (".ply", "ascii"),
+                                              (".ply", "binary"), (".ply", "big")])  # fmt: skip
+@pytest.mark.parametrize(("name", "dtype", "unit", "zero"), TIMES)
+def test_times_of_points_in_files(
+    tmp_path: Path, suffix: str, kind: str, name: str, dtype: str, unit: float, zero: float
+) -> None:
+    values = ((zero + SWEEP) / unit).astype(dtype)
+    points = room(40)
+    points[3] = np.nan
+    timed(tmp_path / f"1700000000{suffix}", points, name, values, kind)
+    log = open_lidar(tmp_path)
+    (scan,) = log
+    # Nanoseconds since 1970 have room for a quarter of a microsecond in a float64.
+    np.testing.assert_allclose(scan.times, np.delete(SWEEP, 3), atol=2e-6)
+    np.testing.assert_allclose(scan.points, np.delete(room(40), 3, axis=0), atol=1e-6)
+    assert len(log.warnings) == 1 and "1 point dropped" in log.warnings[0]
+
+
+def test_times_that_make_no_sweep_cost_the_deskewing_alone(tmp_path: Path) -> None:
+    for k, values in enumerate((SWEEP, 1e11 * SWEEP, np.full(40, np.nan), SWEEP)):
+        timed(tmp_path / f"{k}.pcd", room(40, k), "time", values.astype(np.float32), "binary")
+    log = open_lidar(tmp_path)
+    scans = list(log)
+    assert [scan.times is None for scan in scans] == [False, True, True, False]
+    tmp_path = tmp_path / "odd"
+    tmp_path.mkdir()
+    timed(tmp_path / "0.ply", room(40), "time", (1e11 * SWEEP).astype(np.float32), "binary")
+    log = open_lidar(tmp_path)
+    assert [scan.times for scan in log] == [None]
+    assert any("1 scan taken without the times of their points, the first 0.ply: times" in w for w in log.warnings)
+
+
+def test_intensity_is_kept_and_a_list_is_no_time(tmp_path: Path) -> None:
+    timed(tmp_path / "0.pcd", room(40), "intensity", np.arange(40, dtype=np.float32), "binary")
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty list uchar float time\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    (tmp_path / "1.ply").write_text(head + "2 0.5 0.6 1 2 3\n1 0.5 4 5 6\n")
+    first, second = open_lidar(tmp_path)
+    np.testing.assert_array_equal(first.intensity, np.arange(40))
+    assert second.times is None and second.points.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]

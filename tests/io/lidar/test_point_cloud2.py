@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 
-from hexmap.io.lidar.point_cloud2 import PointTimes, column, coordinates
+from hexmap.io.lidar.point_cloud2 import column, coordinates
+from hexmap.io.lidar.point_times import PointTimes
 from tests.io.lidar.clouds import DATATYPES, FIELD, STORE, cloud, room, xyz
+
+
+def fields(*columns: Any, **how: Any) -> Any:
+    """What returns the fields of a cloud by their names."""
+    return partial(column, cloud(*columns, **how))
+
 
 STAMP = 1_700_000_000.25
 # A sweep of a tenth of a second in the order in which a LiDAR fires.
@@ -80,7 +90,7 @@ def test_messages_that_contradict_themselves_are_refused() -> None:
 
 def test_an_empty_cloud_has_no_points() -> None:
     assert coordinates(cloud(xyz(np.zeros((0, 3))))).shape == (0, 3)
-    assert PointTimes().of(cloud({**xyz(np.zeros((0, 3))), "t": np.zeros(0, np.uint32)}), STAMP) is None
+    assert PointTimes().of(fields({**xyz(np.zeros((0, 3))), "t": np.zeros(0, np.uint32)}), STAMP) is None
 
 
 # What drivers write: name, the numbers, seconds a unit, and what that means in seconds from the header's stamp.
@@ -104,35 +114,35 @@ DRIVERS = {
 def test_times_of_every_driver_are_seconds_from_the_stamp(driver: str, big: bool) -> None:
     name, values, unit, want = DRIVERS[driver]
     times = PointTimes()
-    got = times.of(cloud({**xyz(room(60)), name: values}, stamp=STAMP, big=big), STAMP)
+    got = times.of(fields({**xyz(room(60)), name: values}, stamp=STAMP, big=big), STAMP)
     assert got is not None and times.unit == unit and times.name == name.lower()
     np.testing.assert_allclose(got, want, rtol=0, atol=2e-6)
 
 
 def test_a_clock_with_another_zero_counts_from_the_stamp() -> None:
     # A sensor without time of day: its points begin at the stamp, whatever it says.
-    got = PointTimes().of(cloud({**xyz(room(60)), "timestamp": 1.2e9 + SWEEP}, stamp=STAMP), STAMP)
+    got = PointTimes().of(fields({**xyz(room(60)), "timestamp": 1.2e9 + SWEEP}, stamp=STAMP), STAMP)
     np.testing.assert_allclose(got, SWEEP, atol=1e-6)
 
 
 def test_the_first_scan_that_tells_says_the_unit_for_all() -> None:
     times = PointTimes()
     still = {**xyz(room(60)), "t": np.zeros(60, np.uint32)}
-    assert times.of(cloud(still), STAMP) is None and times.unit is None
-    assert times.of(cloud({**still, "t": (1e9 * SWEEP).astype(np.uint32)}), STAMP) is not None
+    assert times.of(fields(still), STAMP) is None and times.unit is None
+    assert times.of(fields({**still, "t": (1e9 * SWEEP).astype(np.uint32)}), STAMP) is not None
     # A sweep of which a corner alone came back spans a millisecond, which is no second.
-    got = times.of(cloud({**still, "t": np.arange(60, dtype=np.uint32) * 20_000}), STAMP)
+    got = times.of(fields({**still, "t": np.arange(60, dtype=np.uint32) * 20_000}), STAMP)
     np.testing.assert_allclose(got, 2e-5 * np.arange(60), atol=1e-12)
 
 
 def test_no_time_a_point_is_none() -> None:
-    assert PointTimes().of(cloud(xyz(room(5))), STAMP) is None
+    assert PointTimes().of(fields(xyz(room(5))), STAMP) is None
 
 
 @pytest.mark.parametrize("values", [np.linspace(0, 4e15, 60), np.linspace(0, 1e-4, 60)])
 def test_times_that_are_no_sweep_are_refused(values: np.ndarray) -> None:
     with pytest.raises(ValueError, match="no sweep in s, ms, us or ns"):
-        PointTimes().of(cloud({**xyz(room(60)), "time": values}), STAMP)
+        PointTimes().of(fields({**xyz(room(60)), "time": values}), STAMP)
 
 
 def test_times_of_beams_that_did_not_return_do_not_matter() -> None:
@@ -143,12 +153,12 @@ def test_times_of_beams_that_did_not_return_do_not_matter() -> None:
         values = STAMP + SWEEP
         values[~used] = odd
         times = PointTimes()
-        got = times.of(cloud({**xyz(room(60)), "timestamp": values}, stamp=STAMP), STAMP, used)
+        got = times.of(fields({**xyz(room(60)), "timestamp": values}, stamp=STAMP), STAMP, used)
         assert times.unit == 1.0
         np.testing.assert_allclose(got[used], SWEEP[used], atol=1e-6)
         assert np.isfinite(got).all()
     values = STAMP + SWEEP
     values[7] = np.nan
     with pytest.raises(ValueError, match="not finite"):
-        PointTimes().of(cloud({**xyz(room(60)), "timestamp": values}, stamp=STAMP), STAMP)
-    assert PointTimes().of(cloud({**xyz(room(60)), "timestamp": values}), STAMP, np.zeros(60, bool)) is None
+        PointTimes().of(fields({**xyz(room(60)), "timestamp": values}, stamp=STAMP), STAMP)
+    assert PointTimes().of(fields({**xyz(room(60)), "timestamp": values}), STAMP, np.zeros(60, bool)) is None

@@ -18,6 +18,8 @@ QUICK = RingLidar(rings=16, azimuths=360, rate=5.0)
 class SimulatedLidarLog(LidarLog):
     """A simulated drive as a log; ``change`` makes something else of the scan of a number.
 
+    ``mounted`` says whether the log knows how the LiDAR is mounted on its robot.
+
     Attributes:
         truth: T_map_lidar of every scan that was read last.
     """
@@ -32,8 +34,11 @@ class SimulatedLidarLog(LidarLog):
         *,
         scans: int | None = None,
         change: Callable[[int, Scan], Scan] | None = None,
+        mounted: bool = False,
     ) -> None:
         super().__init__(Path(building.name), LidarLogSettings(), 1)
+        if mounted:
+            self.mount, self.robot = lidar.mount, "base_link"
         drive = drive or Drive3D(building.waypoints)
         self._run = list(simulate_lidar(building, drive, lidar, 1, scans=scans))
         self._scans_read = [s.scan if change is None else change(k, s.scan) for k, s in enumerate(self._run)]

@@ -19,10 +19,12 @@ from hexmap.poses.trajectory import Trajectory
 from hexmap.simulator.space import RingLidar
 from localisation.evaluation import absolute_error
 from localisation.lidar_settings import LidarSettings
+from localisation.localiser.lidar_localiser import LidarLocaliser
 from localisation.mapping.lidar_map import LidarMappingResult, build_lidar_map, fuse_lidar_log
 from localisation.odometry.lidar_odometry import LidarOdometry, RegisteredSweep
 from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
+from localisation.slam.pose_graph import Edge, PoseGraph
 from tests.lattices import SPATIAL, Case
 from tests.localisation.slam.lidar_drives import QUICK, SimulatedLidarLog, block, hall, off
 
@@ -86,6 +88,55 @@ def test_floors_are_level_however_the_sensor_is_held() -> None:
         # Up is up; where north is nobody knows.
         np.testing.assert_allclose(pose.rotation[2], true.rotation[2], atol=0.012)
     assert rmse(log, level) < 0.03 and rmse(log, bare) < 0.03
+
+
+def test_the_poses_are_the_robots_where_the_mount_is_known() -> None:
+    # Hanging upside down from a boom, and looking aside: what no floor could tell.
+    mount = Pose(exponential(np.array([math.pi, 0.0, 0.0])) @ exponential(np.array([0.1, 0.0, 1.0])), [0.5, 0.2, 1.2])
+    log = SimulatedLidarLog(hall(), lidar=replace(QUICK, mount=mount), scans=16, mounted=True)
+    seen: list[Pose] = []
+    result = build_lidar_map(log, COARSE, on_pose=lambda stamp, pose, scan: seen.append(pose))
+    true = [pose @ mount.inverse() for pose in log.truth]
+    # The map begins at the robot and not at the sensor, level as the floor is.
+    back = result.poses[0].inverse()
+    np.testing.assert_allclose(result.poses[0].translation, 0.0, atol=0.05)
+    metres, radians = off([back @ pose for pose in result.poses], [true[0].inverse() @ pose for pose in true])
+    assert metres.max() < 0.05 and radians.max() < 0.02
+    assert all(a.is_close(b) for a, b in zip(seen, result.poses, strict=True))
+    hit = (true[0] @ back).apply(result.map.state(StateRule()).occupied.centres())
+    assert hit[:, 2].min() > -0.35 and hit[:, 2].max() < 4.35, "floor and ceiling are where the robot has them"
+    assert result.slam is not None and result.slam.pose(5).is_close(result.poses[5], 1e-9, 1e-9)
+    given = fuse_lidar_log(log, Trajectory.from_poses([s.stamp for s in log], true), COARSE)
+    assert given.poses[3].is_close(true[3], 1e-9, 1e-9)
+    hit = given.map.state(StateRule()).occupied.centres()
+    assert all(hit[:, k].min() > low - 0.35 and hit[:, k].max() < high + 0.35 for k, (low, high) in enumerate(SIDES))
+    localiser = LidarLocaliser(given.map.state(), mount=mount)
+    estimate = localiser.add(next(iter(log)))
+    assert estimate.pose is not None and estimate.pose.is_close(true[0], 0.1, 0.03)
+
+
+def test_a_graph_of_the_robot_says_what_that_of_its_sensor_does() -> None:
+    rng = np.random.default_rng(0)
+    mount = Pose(exponential(rng.normal(size=3)), rng.normal(size=3))
+    rows = spatial.motion(rng.normal(size=(4, 6)))
+    graph = PoseGraph(spatial.SPACE)
+    for row in rows:
+        graph.add_node(row)
+    for i, j in ((0, 1), (1, 2), (2, 3), (0, 3)):
+        noise = rng.normal(size=(6, 6))
+        pose = spatial.compose(spatial.between(rows[i], rows[j]), spatial.motion(rng.normal(size=6) * 1e-5))
+        graph.add_edge(Edge(i, j, pose, noise @ noise.T + 0.1 * np.eye(6), loop=j == 3))
+    result = LidarSlamResult(np.arange(4.0), rows, np.tile(np.eye(6), (4, 1, 1)), [], graph, [0, 1, 2, 3])
+    robot = result.of_robot(mount)
+    assert all((robot.pose(k) @ mount).is_close(result.pose(k), 1e-9, 1e-9) for k in range(4))
+    assert np.array_equal(robot.poses, robot.graph.poses)
+    # Normalised by their covariances, what edges and poses say does not depend on where it is seen from.
+    np.testing.assert_allclose(robot.graph.residuals(), graph.residuals(), rtol=1e-4)
+    moved = spatial.motion(np.full(6, 1e-4))
+    off = spatial.small(spatial.compose(spatial.compose(spatial.of_pose(mount), moved), spatial.invert(
+        spatial.of_pose(mount))))  # fmt: skip
+    known = np.linalg.solve(result.covariances[2], np.full(6, 1e-4)) @ np.full(6, 1e-4)
+    assert off @ np.linalg.solve(robot.covariances[2], off) == pytest.approx(known, rel=1e-3)
 
 
 @pytest.mark.parametrize("case", SPATIAL, ids=str)
