@@ -26,7 +26,7 @@ from localisation.lidar_settings import LidarSettings
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.localise_log import Track, TrackCounter
 from localisation.matching.global_matcher import GlobalMatcher, spread_points
-from localisation.matching.gravity import levelling
+from localisation.matching.gravity import levelling_of
 from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
@@ -35,7 +35,7 @@ from localisation.matching.surfaces import Drawn, SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry, surface_lattice
 from localisation.slam.lidar_loops import drawn_covariance
 
-__all__ = ["LidarLocaliser", "localise_lidar_log", "space_csv_header", "space_csv_line"]
+__all__ = ["LidarLocaliser", "localise_lidar_log", "map_surface_lattice", "space_csv_header", "space_csv_line"]
 
 # Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
 _LEAST_CELLS = 3
@@ -129,8 +129,7 @@ class LidarLocaliser:
     def _prepare(self, points: FloatArray) -> None:
         """Make the tables of the map for what the sensor sees."""
         fine = self._states.occupied.lattice
-        coarse, _ = surface_lattice(fine, points)
-        coarse = fine.scaled(max(coarse.resolution / fine.resolution, _COARSE))
+        coarse = map_surface_lattice(fine, points)
         centres = fine.centres(self._states.occupied.index)
         self._surfaces = SurfaceMap(coarse)
         self._surfaces.add(centres)
@@ -214,7 +213,7 @@ class LidarLocaliser:
         lost = Estimate(scan.stamp, scan.line, TrackState.lost)
         if len(thin) < 10:
             return lost
-        level = self._level(points, lattice)
+        level = levelling_of(points, lattice)
         match = self._matcher.match(
             spread_points(level.apply(points), lattice, _POINTS), self._region(), apart=_APART, least=_LEAST_SHARE,
             refine=False, beams=False, information=False, time_limit=self._time_limit, node_limit=_NODES,
@@ -248,10 +247,16 @@ class LidarLocaliser:
         high = np.array([x + _START[0], y + _START[0], self._high[2]])
         return SearchRegion(low, high, yaw, _START[1], _TILT)
 
-    def _level(self, points: FloatArray, lattice: Lattice) -> Pose:
-        surfaces = SurfaceMap(lattice)
-        surfaces.add(points)
-        return levelling(surfaces) or Pose.identity(3)
+
+def map_surface_lattice(fine: Lattice, points: FloatArray) -> Lattice:
+    """Return the lattice of the surfaces that a map's occupied cells make, and on which it is searched.
+
+    Args:
+        fine: the lattice of the map.
+        points: (N, 3) a scan of the sensor, metres.
+    """
+    coarse, _ = surface_lattice(fine, points)
+    return fine.scaled(max(coarse.resolution / fine.resolution, _COARSE))
 
 
 def _is_apart(a: Pose, b: Pose) -> bool:
