@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from localisation.mapping.align import align_maps
 from localisation.mapping.lidar_map import LidarMappingResult, build_lidar_map, fuse_lidar_log
 from localisation.odometry.sweep import Velocity, deskewed
 
-__all__ = ["read_lidar_runs"]
+__all__ = ["placed_scans", "read_lidar_runs"]
 
 _SPACE = geometry_of(3)
 # Where only the poses of a map are wanted: cells of a metre cost next to nothing.
@@ -82,23 +83,15 @@ def _ranges(settings: ExperimentSettings) -> LidarSettings:
 
 def _world(run: _Run, placed: Trajectory, T: Pose, settings: ExperimentSettings) -> World:
     """Return the scans of a log at the poses that some of them have, moved by ``T``."""
-    ranges = _ranges(settings)
-    at = [placed[k] for k in range(len(placed))]
     scans: list[FloatArray] = []
     rows: list[FloatArray] = []
-    k = 0
-    for number, scan in enumerate(run.log):
-        # Scans that were left out have no pose; the others follow in the order of the log.
-        known = k < len(at) and scan.stamp == placed.stamps[k]
-        velocity = _velocity(at, placed.stamps, k) if known else None
-        points = ranges.in_range(deskewed(scan, velocity))
+    for number, (points, pose) in enumerate(_in_order(run.log, placed, _ranges(settings))):
         if settings.points is not None and len(points) > settings.points:
             # At random: of a scan in the order of its rings every so-many-th point may be of one ring.
             draws = np.random.default_rng([settings.seed, run.number, number, 3])
             points = points[np.sort(draws.choice(len(points), settings.points, replace=False))]
         scans.append(points)
-        rows.append(_SPACE.to_row(T @ at[k]) if known else np.full(_SPACE.row, math.nan))
-        k += known
+        rows.append(np.full(_SPACE.row, math.nan) if pose is None else _SPACE.to_row(T @ pose))
     if len(scans) < 2 * LEAST_SCANS:
         raise LogError(
             f"{run.log.path}: {len(scans)} scans are too few; the experiment needs {2 * LEAST_SCANS} or more"
@@ -116,6 +109,42 @@ def _world(run: _Run, placed: Trajectory, T: Pose, settings: ExperimentSettings)
         reference="",
         given=run.poses is not None,
     )
+
+
+def _in_order(log: LidarLog, placed: Trajectory, ranges: LidarSettings) -> Iterator[tuple[FloatArray, Pose | None]]:
+    """Yield the points of each scan in range, moved to where the sensor was at its stamp, and its pose, if it has one.
+
+    Scans that the map maker left out have none; the others follow in the order of the log.
+    """
+    at = [placed[k] for k in range(len(placed))]
+    k = 0
+    for scan in log:
+        known = k < len(at) and scan.stamp == placed.stamps[k]
+        velocity = _velocity(at, placed.stamps, k) if known else None
+        yield ranges.in_range(deskewed(scan, velocity)), at[k] if known else None
+        k += known
+
+
+def placed_scans(
+    log: LidarLog, poses: Trajectory | None, associate: str | None = None
+) -> Iterator[tuple[FloatArray, Pose]]:
+    """Yield the points (P, 3) of each scan of a LiDAR's log in its own frame, and its pose T_map_sensor.
+
+    Args:
+        log: an open log.
+        poses: T_map_sensor, given; None: those that the map maker finds.
+        associate: how poses go with scans: "order", "time", or as fits.
+
+    Raises:
+        LogError: the log cannot be read or has no scan.
+        TrajectoryError: the poses go with no scan, or not by the order asked for.
+        MissingDependencyError: poses are to be found, and kiss-icp or gtsam cannot be loaded.
+    """
+    settings = ExperimentSettings()
+    found = _mapped(log, poses, associate, settings, whole=False)
+    for points, pose in _in_order(log, found.poses, _ranges(settings)):
+        if pose is not None:
+            yield points, pose
 
 
 def _velocity(poses: list[Pose], stamps: FloatArray, k: int) -> Velocity | None:

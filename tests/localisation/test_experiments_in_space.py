@@ -12,6 +12,7 @@ import pytest
 
 from hexmap.base.errors import ArgumentError, LogError
 from hexmap.cli import main
+from hexmap.cli.clouds import Reading, read_cloud
 from hexmap.io.trajectories import write_tum
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
@@ -246,3 +247,23 @@ def test_the_command_takes_a_bag_with_poses(tmp_path: Path, capsys: pytest.Captu
     assert "planar" in refused("--test", str(planar))
     assert main(["experiment", "localisation", str(planar), "-o", str(tmp_path / "no"), "--points", "5000"]) == 2
     assert "--points is for a LiDAR's log" in capsys.readouterr().err
+
+
+def test_the_rotation_experiment_takes_the_scans_of_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag, poses = tmp_path / "run", tmp_path / "poses.tum"
+    building = room()
+    write_bag(bag, building, drive=Drive3D(building.waypoints), lidar=LIDAR, scans=6, seed=1)
+    write_tum(poses, Trajectory.from_poses([scan.stamp for scan in log()][:6], log().truth[:6]))
+    # It is read as points of space, whether there are poses or not.
+    arguments = ["experiment", "rotation", str(bag), "-o", str(tmp_path / "no"), "--resolution", "0.5"]
+    for more in ([], ["--poses", str(poses)]):
+        assert main([*arguments, "--lattice", "A2", *more]) == 2
+        assert "A2 is a lattice of dimension 2, the points of 3" in capsys.readouterr().err
+    reading = Reading(None, "m", "xyz", None, "auto")
+    points, notes, _ = read_cloud(
+        bag, poses, reading=reading, min_range=0.0, max_range=None, crop=None, unique=False, sample=3000, seed=0,
+        cells=0.5,
+    )  # fmt: skip
+    assert len(points) == 3000 and "from half a metre on, at the poses of poses.tum" in notes[0]
+    # They lie where the room is, which is some ten metres wide.
+    assert (points.min(axis=0) > [-1.4, -1.4, -0.4]).all() and (points.max(axis=0) < [12.4, 8.4, 3.4]).all()
