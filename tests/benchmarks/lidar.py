@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.lidar [NAME ...] [--seeds N] [--first SEED] [--no-bare]
 
-Names are hall, vlp16, simulated, bits; all without a name. One thread; seconds are the processor's. What needs the
-shared data is left out where it is absent.
+Names are hall, vlp16, places, simulated, bits; all without a name. One thread; seconds are the processor's. What needs
+the shared data is left out where it is absent.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import wraps
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -49,6 +51,7 @@ from localisation.odometry.lidar_odometry import import_kiss_icp, surface_lattic
 from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from tests.benchmarks._common import data_folder, table, versions
+from tests.benchmarks.lidar_places import places
 from tests.benchmarks.slam import build, reasons
 
 # A point a cell of this size, metres, and scan: walls near the sensor must not outweigh the others.
@@ -397,26 +400,52 @@ def simulated(seeds: Sequence[int], bare: bool = True) -> None:
     print()
 
 
-def bits(folder: Path, runs: int = 3, logs: Sequence[str] = ("vlp16", "hall")) -> None:
-    """Say whether runs give the same map and trajectory, alone and with other processes that work at the same time."""
+def short(log: Path, scans: int, folder: Path) -> Path:
+    """Write the first scans of a log as a folder of arrays."""
+    folder.mkdir()
+    for k, scan in enumerate(itertools.islice(open_lidar(log), scans)):
+        np.save(folder / f"{k:06d}.npy", scan.points)
+    return folder
+
+
+def digest_of(work: Path) -> str:
+    """Return a digest of a map and all that was written beside it."""
+    digest = hashlib.sha256()
+    for part in ("m.parquet", "t.tum", "l.csv"):
+        digest.update((work / part).read_bytes())
+    return digest.hexdigest()
+
+
+def built(log: Path, options: Sequence[str]) -> str:
+    """Build in a folder of its own and return the digest; what a worker does."""
+    with tempfile.TemporaryDirectory() as work:
+        build(log, Path(work), *options)
+        return digest_of(Path(work))
+
+
+def bits(folder: Path, runs: int = 3, logs: Sequence[str] = ("vlp16", "hall"), scans: int = 6) -> None:
+    """Say whether runs give the same map, trajectory and loops: alone, in 1 and 2 workers, beside other processes.
+
+    The first scans of each log only, with free space and without.
+    """
     busy = [sys.executable, "-c", "while True: sum(range(1000))"]
-    for name in logs:
-        found: dict[int, set[str]] = {}
-        for others in (0, 1, 2):
-            found[others] = set()
-            with ExitStack() as stack, tempfile.TemporaryDirectory() as work:
-                for _ in range(others):
-                    process = stack.enter_context(subprocess.Popen(busy))
-                    stack.callback(process.kill)
-                for _ in range(runs if others == 0 else 1):
-                    build(folder / name, Path(work))
-                    digest = hashlib.sha256()
-                    for part in ("m.parquet", "t.tum", "l.csv"):
-                        digest.update((Path(work) / part).read_bytes())
-                    found[others].add(digest.hexdigest())
-        different = len(set().union(*found.values()))
-        print(f"{name}: {runs} runs alone, one beside 1 and one beside 2 busy processes: "
-              f"{different} different result{'s' * (different > 1)}\n")  # fmt: skip
+    rows: list[list[object]] = [[f"first {scans} scans", "free space", "builds", "different results", "digest"]]
+    with tempfile.TemporaryDirectory() as name:
+        for log in logs:
+            some = short(folder / log, scans, Path(name) / log)
+            for options in ((), ("--no-free-space",)):
+                found = [built(some, options) for _ in range(runs)]
+                for workers in (1, 2):
+                    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+                        found += pool.map(built, [some] * 2, [options] * 2)
+                with ExitStack() as stack:
+                    for _ in range(2):
+                        process = stack.enter_context(subprocess.Popen(busy))
+                        stack.callback(process.kill)
+                    found.append(built(some, options))
+                rows.append([log, "no" if options else "yes", len(found), len(set(found)), found[0][:12]])
+    table(rows)
+    print(f"{runs} builds alone, 2 in one worker, 2 in two workers at once, 1 beside 2 busy processes\n")
 
 
 def main(arguments: list[str]) -> None:
@@ -429,7 +458,7 @@ def main(arguments: list[str]) -> None:
     chosen = parser.parse_args(arguments)
     print(versions("hexmap", "numpy", "numba", "gtsam", "kiss-icp"), "\n")
     folder = data_folder() / "lidar3d"
-    of_logs: dict[str, Callable[[Path], None]] = {"hall": hall, "vlp16": vlp16, "bits": bits}
+    of_logs: dict[str, Callable[[Path], None]] = {"hall": hall, "vlp16": vlp16, "places": places, "bits": bits}
     for name in chosen.names or [*of_logs, "simulated"]:
         if name == "simulated":
             simulated(range(chosen.first, chosen.first + chosen.seeds), not chosen.no_bare)
