@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.lidar [NAME ...] [--seeds N] [--first SEED] [--no-bare]
 
-Names are hall, vlp16, places, simulated, bits; all without a name. One thread; seconds are the processor's. What needs
-the shared data is left out where it is absent.
+Names are hall, vlp16, places, question, simulated, bits; all without a name. One thread; seconds are the processor's.
+What needs the shared data is left out where it is absent.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from tests.benchmarks._common import data_folder, table, versions
 from tests.benchmarks.lidar_places import places
+from tests.benchmarks.lidar_question import question
 from tests.benchmarks.slam import build, reasons
 
 # A point a cell of this size, metres, and scan: walls near the sensor must not outweigh the others.
@@ -458,7 +459,9 @@ def main(arguments: list[str]) -> None:
     chosen = parser.parse_args(arguments)
     print(versions("hexmap", "numpy", "numba", "gtsam", "kiss-icp"), "\n")
     folder = data_folder() / "lidar3d"
-    of_logs: dict[str, Callable[[Path], None]] = {"hall": hall, "vlp16": vlp16, "places": places, "bits": bits}
+    of_logs: dict[str, Callable[[Path], None]] = {
+        "hall": hall, "vlp16": vlp16, "places": places, "question": question, "bits": bits,
+    }  # fmt: skip
     for name in chosen.names or [*of_logs, "simulated"]:
         if name == "simulated":
             simulated(range(chosen.first, chosen.first + chosen.seeds), not chosen.no_bare)

@@ -1,7 +1,10 @@
 """LiDAR scans of the hall that are not in its map found in it, on lattices at equal cells and at equal covering radius.
 
 The whole answer of the localiser: levelling, the search over all yaws and 2 degrees of tilt, surfaces, verdict. One
-scan in five is left out of the map and looked for; every lattice looks for the same ones.
+scan in five is left out of the map and looked for; every lattice looks for the same ones. How wide the cells of the
+search are follows from what the sensor sees, in metres of resolution: at equal covering radius only the map's cells are
+larger. The search by itself at equal covering radius is in ``hexmap experiment localisation`` and in
+``python -m tests.benchmarks.localisation compare``.
 """
 
 from __future__ import annotations
