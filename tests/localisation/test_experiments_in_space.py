@@ -160,6 +160,18 @@ def test_without_poses_the_reference_is_what_the_map_maker_finds() -> None:
     assert world.known.sum() >= 18
 
 
+def test_another_run_is_looked_for_in_the_map_of_the_first() -> None:
+    building = room()
+    beside = Drive3D(building.waypoints + np.array([0.3, 0.2, 0.0]))
+    other = SimulatedLidarLog(building, beside, LIDAR, scans=16)
+    poses = Trajectory.from_poses([scan.stamp for scan in other], other.truth)
+    world = read_world(log(), SMALL, lambda *_: [], poses=truth(), test=other, test_poses=poses)
+    assert (world.run[world.map_scans()] == 0).all() and (world.run[world.test_scans()] == 1).all()
+    assert len(world.map_scans()) == 20 and len(world.test_scans()) == 16
+    for k in world.test_scans():
+        assert world.pose(int(k)).is_close(other.truth[k - 20], metres=1e-6, radians=1e-6)
+
+
 def test_points_with_times_are_moved_to_the_stamp_by_the_reference() -> None:
     from localisation.odometry.sweep import Velocity, deskewed
 
