@@ -124,7 +124,7 @@ def read_cloud(
     seed: int,
     cells: float | None,
 ) -> tuple[NDArray[np.float64], list[str], list[str]]:
-    """Return points (N, n), notes for a report and warnings, of a point file, a log with poses, or a map.
+    """Return points (N, n), notes for a report and warnings: of a point file, a log with poses, a LiDAR's log, a map.
 
     Raises:
         HexmapError: the file cannot be read, or a map's cells are too coarse for ``cells``.
@@ -133,6 +133,7 @@ def read_cloud(
     from hexmap.io.clouds.filters import PointFilter
     from hexmap.io.clouds.read_points import read_points
     from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.lidar.open_lidar import is_lidar_log
 
     notes: list[str] = []
     warnings: list[str] = []
@@ -140,7 +141,11 @@ def read_cloud(
     filtering = {"min_range": min_range, "max_range": max_range, "unique": unique, "sample": sample, "seed": seed}
     taken_off: tuple[float, ...] = ()
     chosen = PointFilter(low=low, high=high, **filtering)  # type: ignore[arg-type]
-    if poses is not None:
+    if is_lidar_log(path):
+        points, warnings = _of_lidar_log(path, poses)
+        at = "that the map maker finds" if poses is None else f"of {poses.name}"
+        notes.append(f"The points are those of all scans of {path.name}, from half a metre on, at the poses {at}.")
+    elif poses is not None:
         points, warnings = _of_log(path, poses)
         notes.append(f"The points are those of the log {path.name} at the poses of {poses.name}.")
     elif is_parquet(path):
@@ -202,3 +207,17 @@ def _of_log(path: Path, poses: Path) -> tuple[NDArray[np.float64], list[str]]:
         if T_map_robot is not None and isinstance(scan, Scan)
     ]
     return np.concatenate(chunks) if chunks else np.empty((0, 2)), list(log.warnings)
+
+
+def _of_lidar_log(path: Path, poses: Path | None) -> tuple[NDArray[np.float64], list[str]]:
+    """Return the points of a LiDAR's log at given poses or those that the map maker finds, and what was wrong."""
+    import numpy as np
+
+    from hexmap.io.lidar.open_lidar import open_lidar
+    from hexmap.io.trajectories import read_trajectory
+    from localisation.experiments.lidar_reading import placed_scans
+
+    log = open_lidar(path)
+    given = None if poses is None else read_trajectory(poses)
+    chunks = [T_map_sensor.apply(points) for points, T_map_sensor in placed_scans(log, given)]
+    return np.concatenate(chunks) if chunks else np.empty((0, 3)), list(log.warnings)

@@ -22,12 +22,14 @@ Folder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the repo
 
 @app.command()
 def rotation(
-    points: Annotated[Path, typer.Argument(help="PCD, PLY, text, KITTI .bin, NPY; a log with --poses; a map.")],
+    points: Annotated[
+        Path, typer.Argument(help="PCD, PLY, text, KITTI .bin, NPY; a log with --poses; a LiDAR's log; a map.")
+    ],
     output: Folder,
     volume: clouds.Volume = None,
     area: clouds.Area = None,
     resolution: clouds.Resolution = None,
-    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) of a laser log.")] = None,
+    poses: Annotated[Path | None, typer.Option(help="Poses (TUM) of a log; a LiDAR's without them is mapped.")] = None,
     lattice: Annotated[
         list[str] | None, typer.Option(help="A lattice to compare; again for more.", show_default="all")
     ] = None,
@@ -52,11 +54,13 @@ def rotation(
 ) -> None:
     """Rotate a scan and count the cells of every lattice: Table II, Figs 2 to 7, verdicts on the paper's claims."""
     from hexmap.base.errors import ArgumentError
+    from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.paper.rotation import rotation_experiment
     from hexmap.paper.rotation_settings import RotationSettings
 
     check_folder(output)
-    dim = 2 if area is not None or poses is not None else 3
+    planar = area is not None or (poses is not None and not is_lidar_log(points))
+    dim = 2 if planar else 3
     wanted = clouds.cell_size(resolution, volume, area, dim)
     cloud, notes, warnings = clouds.read_cloud(
         points, poses, reading=clouds.Reading(format, units, axes, columns, offset), min_range=min_range,

@@ -16,6 +16,8 @@ from hexmap.cli.experiments import Folder, check_folder, command_line, make_fold
 from hexmap.cli.lattice_options import Bases, parse_basis
 
 if TYPE_CHECKING:
+    from hexmap.io.lidar.lidar_log import LidarLog
+    from hexmap.io.logs.log import Log
     from localisation.experiments.settings import ExperimentSettings
 
 __all__ = ["localisation"]
@@ -24,11 +26,20 @@ Number = TypeVar("Number", int, float)
 
 
 def localisation(
-    log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS 1 bag, ROS 2 bag or MCAP.")],
+    log: Annotated[
+        Path, typer.Argument(help="CARMEN log (plain or .gz), ROS bag or MCAP; of a LiDAR also a folder of scans.")
+    ],
     output: Folder,
-    lattices: Annotated[str, typer.Option(help="Names; the others are compared with the first.")] = "Z2,A2",
+    lattices: Annotated[
+        str | None,
+        typer.Option(
+            help="Names; the others are compared with the first.", show_default="Z2,A2; of a LiDAR Z3,D3,D3*"
+        ),
+    ] = None,
     basis: Bases = None,
-    resolutions: Annotated[str, typer.Option(help="Resolutions, m.")] = "0.05,0.1,0.2",
+    resolutions: Annotated[
+        str | None, typer.Option(help="Resolutions, m.", show_default="0.05,0.1,0.2; of a LiDAR 0.1,0.2")
+    ] = None,
     poses: Annotated[Path | None, typer.Option(help="Reference poses (TUM); without them the log is mapped.")] = None,
     test: Annotated[
         Path | None, typer.Option(help="Another run of the same place, whose scans are looked for.")
@@ -38,13 +49,22 @@ def localisation(
     split: Annotated[str, typer.Option(help="Held-out scans: every (k-th), or half (the second).")] = "every",
     hold_out: Annotated[int, typer.Option(help="The k of every k-th.")] = 4,
     tasks: Annotated[
-        str, typer.Option(help="Some of global, local, localise, mapping, rotation, learning.")
-    ] = "global,local,localise,mapping,rotation,learning",
-    scans: Annotated[
-        int | None, typer.Option(help="Scans that are looked for in each task.", show_default="40")
+        str | None,
+        typer.Option(
+            help="Some of global, local, localise, mapping, rotation, learning.",
+            show_default="all; of a LiDAR all but mapping",
+        ),
     ] = None,
-    starts: Annotated[int | None, typer.Option(help="Starts without a pose along the log.", show_default="12")] = None,
+    scans: Annotated[
+        int | None, typer.Option(help="Scans that are looked for in each task.", show_default="40; of a LiDAR 24")
+    ] = None,
+    starts: Annotated[
+        int | None, typer.Option(help="Starts without a pose along the log.", show_default="12; of a LiDAR 6")
+    ] = None,
     max_range: Annotated[float | None, typer.Option(help="Leave out points farther than this, m.")] = None,
+    points: Annotated[
+        int | None, typer.Option(help="Of a LiDAR's scan, at most so many points at random.", show_default="20000")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer of everything, for a first look.")] = False,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
     seed: clouds.Seed = 0,
@@ -53,19 +73,23 @@ def localisation(
 
     An interrupted run goes on where it stopped. Times are in a report of their own, in the folder times.
     """
-    from hexmap.io.logs.open_log import open_log
+    from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.trajectories import read_trajectory
     from localisation.experiments.run import localisation_experiment
 
     check_folder(output)
-    given = {"scans": scans, "starts": starts}
+    given = {
+        "lattices": None if lattices is None else tuple(_words(lattices)), "scans": scans, "starts": starts,
+        "resolutions": None if resolutions is None else _numbers(resolutions, "--resolutions", float),
+        "tasks": None if tasks is None else tuple(_words(tasks)), "points": points,
+    }  # fmt: skip
+    in_space = is_lidar_log(log)
     settings = _settings(
-        quick, lattices=(*_words(lattices), *(_own(text) for text in basis or ())),
-        resolutions=_numbers(resolutions, "--resolutions", float), split=split, hold_out=hold_out,
-        tasks=tuple(_words(tasks)), max_range=max_range, seed=seed,
-        **{name: value for name, value in given.items() if value is not None},
+        in_space, quick, [_own(text) for text in basis or ()], split=split, hold_out=hold_out, max_range=max_range,
+        seed=seed, **{name: value for name, value in given.items() if value is not None},
     )  # fmt: skip
-    source, other = open_log(log), None if test is None else open_log(test)
+    settings.check_dim(3 if in_space else 2)
+    source, other = _opened(log), None if test is None else _opened(test)
     reference, other_reference = (None if path is None else read_trajectory(path) for path in (poses, test_poses))
     say_if_resumed(output)
     first_run_note()
@@ -123,14 +147,31 @@ def _command() -> str:
     return shlex.join(out)
 
 
-def _settings(quick: bool, **values: Any) -> ExperimentSettings:
-    """Return the settings; what was asked for by number stands, also in a quick run."""
+def _opened(path: Path) -> Log | LidarLog:
+    """Open a log of a LiDAR or of a planar laser."""
+    from hexmap.io.lidar.open_lidar import is_lidar_log, open_lidar
+    from hexmap.io.logs.open_log import open_log
+
+    return open_lidar(path) if is_lidar_log(path) else open_log(path)
+
+
+def _settings(in_space: bool, quick: bool, own: list[Any], **values: Any) -> ExperimentSettings:
+    """Return the settings; what was asked for by number stands, also in a quick run.
+
+    ``own`` are bases that join the lattices, those asked for or the default ones.
+    """
     from dataclasses import replace
 
-    from localisation.experiments.settings import ExperimentSettings
+    from localisation.experiments.settings import ExperimentSettings, in_space_settings
     from localisation.experiments.settings import quick as quicker
 
-    settings = ExperimentSettings(**values)
+    settings = in_space_settings() if in_space else ExperimentSettings()
+    values["lattices"] = (*values.get("lattices", settings.lattices), *own)
+    if values.get("points") is not None and not in_space:
+        from hexmap.base.errors import ArgumentError
+
+        raise ArgumentError("--points is for a LiDAR's log; leave it out for a planar one")
+    settings = replace(settings, **values)
     if not quick:
         return settings
     return replace(quicker(settings), **{name: values[name] for name in ("scans", "starts") if name in values})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,13 +17,17 @@ from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
-from hexmap.poses.pose import Pose, wrap_angle
+from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from localisation.experiments.baselines.angle_set import angular_step
 from localisation.experiments.baselines.particle_filter import ParticleFilter
+from localisation.experiments.geometry import geometry_of
 from localisation.experiments.maps import MapKind, Prepared, nearer_than, prepare, some_of
+from localisation.experiments.space import drawn_in_space, found_in_space
 from localisation.experiments.world import World, built_poses
+from localisation.lidar_settings import LidarSettings
 from localisation.localiser.estimate import TrackState
+from localisation.localiser.lidar_localiser import LidarLocaliser
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.global_matcher import GlobalMatcher, thin
@@ -34,10 +38,12 @@ from localisation.matching.occupancy import Occupancy
 from localisation.matching.search_region import SearchWindow
 from localisation.settings import MappingSettings
 
-__all__ = ["experiment_case", "pose_error"]
+__all__ = ["experiment_case"]
 
 Row: TypeAlias = dict[str, Any]
 Shared: TypeAlias = Mapping[str, Any]
+# Points and a start to a pose, its covariance, how well it fits and what was looked at.
+Near: TypeAlias = Callable[[FloatArray, Pose], tuple[Pose | None, FloatArray | None, float, int]]
 
 # Scans of the map around a scan that make its surroundings in the measurement under rotation.
 _AROUND = 8
@@ -56,23 +62,20 @@ def experiment_case(case: Row, rng: np.random.Generator, shared: Shared) -> Row:
     return {"rows": task(case, rng, shared)}
 
 
-def pose_error(found: Pose, true: Pose) -> tuple[FloatArray, float, float]:
-    """Return the error (3,) in the map's frame (metres, radians), and its size in metres and degrees."""
-    turn = float(wrap_angle(found.theta - true.theta))
-    off = np.array([found.x - true.x, found.y - true.y, turn])
-    return off, math.hypot(float(off[0]), float(off[1])), math.degrees(abs(turn))
-
-
 def _errors(found: Pose | None, true: Pose, covariance: FloatArray | None) -> Row:
-    """Return the columns of an answer: its error, and the error squared and normalised by its covariance."""
+    """Return the columns of an answer: its error, and the error squared and normalised by its covariance.
+
+    Within says of how much of a normal error with that covariance the smallest ellipsoid is that holds the error.
+    """
     if found is None:
-        return {"metres": None, "degrees": None, "nes": None}
-    off, metres, degrees = pose_error(found, true)
+        return {"metres": None, "degrees": None, "nes": None, "within": None}
+    geometry = geometry_of(true.dim)
+    off, metres, degrees = geometry.error(found, true)
     nes = None
     # A single particle has no covariance.
     if covariance is not None and float(np.linalg.eigvalsh(covariance)[0]) > _LEAST_VARIANCE:
         nes = float(off @ np.linalg.solve(covariance, off))
-    return {"metres": metres, "degrees": degrees, "nes": nes}
+    return {"metres": metres, "degrees": degrees, "nes": nes, "within": None if nes is None else geometry.inside(nes)}
 
 
 # ---------------------------------------------------------------------- single scans
@@ -85,15 +88,21 @@ def _global(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     rows = []
     for k in case["scans"]:
         for method in ("all angles", "angle set"):
-            rows.append({"scan": k, "method": method, **_found(world.scan(k), world.pose(k), matcher, method, shared)})
+            row = _found(world.scan(k), world.pose(k), prepared, matcher, method, int(shared["node_limit"]))
+            rows.append({"scan": k, "method": method, **row})
     return rows
 
 
-def _found(points: FloatArray, true: Pose, matcher: GlobalMatcher, method: str, shared: Shared) -> Row:
-    angles = "continuous" if method == "all angles" else angular_step(points, matcher.lattice)
+def _found(
+    points: FloatArray, true: Pose, prepared: Prepared, matcher: GlobalMatcher, method: str, node_limit: int
+) -> Row:
     begin = time.process_time()
     try:
-        match = matcher.match(points, angles=angles, beams=False, node_limit=shared["node_limit"])
+        if true.dim == 3:
+            match = found_in_space(points, prepared, matcher, method, node_limit)
+        else:
+            angles = "continuous" if method == "all angles" else angular_step(points, matcher.lattice)
+            match = matcher.match(points, angles=angles, beams=False, node_limit=node_limit)
     except TooLargeError:
         # Too many angles for a search: this method finds nothing here.
         match = None
@@ -115,36 +124,43 @@ def _found(points: FloatArray, true: Pose, matcher: GlobalMatcher, method: str, 
 def _local(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     """Match scans from perturbed starts; the same ones on every grid."""
     world, prepared = World.of_shared(shared), prepare(MapKind(case["grid"], case["turn"]), shared)
-    metres, degrees = shared["window"]
-    matcher = LocalMatcher(SearchWindow(metres, math.radians(degrees)))
-    occupancy = prepared.pyramid.occupancy
+    near = _window_matched(prepared, shared) if world.geometry.dim == 2 else _drawn(prepared)
     rows = []
     for k in case["scans"]:
         points, true = world.scan(k), world.pose(k)
         for number, (far, turned) in enumerate(shared["perturbations"]):
-            start = _perturbed(true, far, math.radians(turned), [int(shared["seed"]), k, number])
+            draws = np.random.default_rng([int(shared["seed"]), k, number])
+            start = world.geometry.perturbed(true, far, math.radians(turned), draws)
             begin = time.process_time()
-            try:
-                match = matcher.match(points, start, occupancy)
-            except TooLargeError:
-                match = None
-            covariance = None if match is None else _covariance(prepared, points, match)
+            pose, covariance, fraction, nodes = near(points, start)
             cpu = time.process_time() - begin
             rows.append({
-                "scan": k, "method": "local", "size": number,
-                **_errors(match.pose if match else None, true, covariance),
-                "fraction": match.fraction if match else 0.0, "nodes": match.nodes if match else 0, "cpu": cpu,
+                "scan": k, "method": "local", "size": number, **_errors(pose, true, covariance), "fraction": fraction,
+                "nodes": nodes, "cpu": cpu,
             })  # fmt: skip
     return rows
 
 
-def _perturbed(true: Pose, metres: float, radians: float, seed: list[int]) -> Pose:
-    """Return a pose so far from the true one in a random direction, turned by so much to either side."""
-    rng = np.random.default_rng(seed)
-    angle, side = rng.uniform(0.0, 2.0 * math.pi), 1.0 if rng.random() < 0.5 else -1.0
-    return Pose.planar(
-        true.x + metres * math.cos(angle), true.y + metres * math.sin(angle), true.theta + side * radians
-    )
+def _window_matched(prepared: Prepared, shared: Shared) -> Near:
+    """Return how scans of the plane are matched near a start: all poses of a window are looked at."""
+    metres, degrees = shared["window"]
+    matcher = LocalMatcher(SearchWindow(metres, math.radians(degrees)))
+
+    def near(points: FloatArray, start: Pose) -> tuple[Pose | None, FloatArray | None, float, int]:
+        try:
+            match = matcher.match(points, start, prepared.pyramid.occupancy)
+        except TooLargeError:
+            match = None
+        if match is None:
+            return None, None, 0.0, 0
+        return match.pose, _covariance(prepared, points, match), match.fraction, match.nodes
+
+    return near
+
+
+def _drawn(prepared: Prepared) -> Near:
+    """Return how scans of space are matched near a start: drawn onto surfaces."""
+    return lambda points, start: (*drawn_in_space(points, start, prepared), 0)
 
 
 def _covariance(prepared: Prepared, points: FloatArray, match: Match) -> FloatArray:
@@ -163,14 +179,15 @@ def _learning(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
         farthest=value if axis == "range" else math.inf,
         changed=value if axis == "changed" else 0.0,
     )
-    world, matcher = World.of_shared(shared), prepare(kind, shared).matcher()
+    world, prepared = World.of_shared(shared), prepare(kind, shared)
+    matcher, node_limit = prepared.matcher(), int(shared["node_limit"])
     rows = []
     for k in case["scans"]:
         points = nearer_than(world.scan(k), kind.farthest)
         if axis == "beams":
             points = points[some_of(np.arange(len(points)), value)]
         rows.append({"scan": k, "method": "all angles", "axis": axis, "value": value,
-                     **_found(points, world.pose(k), matcher, "all angles", shared)})  # fmt: skip
+                     **_found(points, world.pose(k), prepared, matcher, "all angles", node_limit)})  # fmt: skip
     return rows
 
 
@@ -178,20 +195,22 @@ def _learning(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
 
 
 def _localise(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
-    """Wake up somewhere along the log and find out where: the localiser and the particle filter on the same scans.
+    """Wake up somewhere along the log and find out where: the localiser and, in the plane, the particle filter.
 
     How sure the localiser is: the weight of its best hypothesis, and while it tracks one more than the overlap.
     """
     world, prepared = World.of_shared(shared), prepare(MapKind(case["grid"], case["turn"]), shared)
     first = case["scans"][0]
     mount = world.mount(first)
-    settings = LocaliserSettings(node_limit=int(shared["node_limit"]))
-    localiser = Localiser(prepared.states, settings, mount=mount)
-    # Of the seed and the start alone: on every grid the filter draws alike.
-    draws = np.random.default_rng([int(shared["seed"]), first, 1])
-    begin = time.process_time()
-    particles = ParticleFilter(prepared.field, draws, mount=mount)
-    initial = time.process_time() - begin
+    localiser = _localiser(prepared, mount, shared)
+    particles: ParticleFilter | None = None
+    initial = 0.0
+    if world.geometry.dim == 2:
+        # Of the seed and the start alone: on every grid the filter draws alike.
+        draws = np.random.default_rng([int(shared["seed"]), first, 1])
+        begin = time.process_time()
+        particles = ParticleFilter(prepared.field, draws, mount=mount)
+        initial = time.process_time() - begin
     rows: list[Row] = []
     for step, k in enumerate(case["scans"]):
         points, true, odometry = world.scan(k), world.pose(k), world.odometry_pose(k)
@@ -208,6 +227,8 @@ def _localise(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
             "confidence": 1.0 + estimate.overlap if answered else best.weight if best else 0.0,
             **_errors(estimate.pose or (best.pose if best else None), true_robot, estimate.covariance), "cpu": cpu,
         })  # fmt: skip
+        if particles is None:
+            continue
         begin = time.process_time()
         cloud = particles.add(points, odometry)
         cpu = time.process_time() - begin + (initial if step == 0 else 0.0)
@@ -216,6 +237,16 @@ def _localise(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
             "confidence": cloud.weight, **_errors(cloud.pose, true_robot, cloud.covariance), "cpu": cpu,
         })  # fmt: skip
     return rows
+
+
+def _localiser(prepared: Prepared, mount: Pose, shared: Shared) -> Localiser | LidarLocaliser:
+    """Return what finds and follows a sensor in a map, of the plane or of space."""
+    if prepared.lattice.dim == 2:
+        return Localiser(prepared.states, LocaliserSettings(node_limit=int(shared["node_limit"])), mount=mount)
+    # Points out of range are gone already.
+    return LidarLocaliser(
+        prepared.states, LidarSettings(lattice=prepared.lattice.basis.tolist(), min_range=0.0, max_range=None)
+    )
 
 
 def _mapping(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
@@ -241,14 +272,14 @@ def _mapping(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     for number, k in enumerate(case["scans"]):
         before = int(built[max(0, int(np.searchsorted(built, k)) - 1)])
         if world.run[k]:
-            before = int(built[((world.poses[built, :2] - world.poses[k, :2]) ** 2).sum(axis=1).argmin()])
-        at = Pose.planar(*(float(v) for v in poses[before]))
+            before = int(built[((world.positions[built] - world.positions[k]) ** 2).sum(axis=1).argmin()])
+        at = world.geometry.to_pose(poses[before])
         match = matcher.match(world.scan(k), at @ world.pose(before).inverse() @ world.pose(k), occupancy)
         overlap = 0.0
         if match is not None:
             cells = lattice.quantise(match.pose.apply(world.scan(k)))
             overlap = float(occupancy.contains(cells.astype(np.int64)).mean())
-        _, metres, degrees = pose_error(aligned @ at, world.pose(before))
+        _, metres, degrees = world.geometry.error(aligned @ at, world.pose(before))
         rows.append({"scan": k, "run": case["turn"], "method": "build", "overlap": overlap, "metres": metres,
                      "degrees": degrees, "cpu": cpu if number == 0 else None})  # fmt: skip
     return rows
@@ -261,7 +292,7 @@ def _aligned(world: World, poses: FloatArray, built: IntArray) -> Pose:
 
     stamps = np.arange(len(built), dtype=np.float64)
     reference, estimate = (
-        Trajectory.from_poses(stamps, [Pose.planar(*(float(v) for v in p[k])) for k in built])
+        Trajectory.from_poses(stamps, [world.geometry.to_pose(p[k]) for k in built])
         for p in (world.poses, poses)
     )
     return absolute_error(reference, estimate, "order").T_reference_estimate
@@ -271,7 +302,7 @@ def _aligned(world: World, poses: FloatArray, built: IntArray) -> Pose:
 
 
 def _rotation(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
-    """Turn scans and their surroundings together, and measure how much the score at the true pose varies.
+    """Turn scans and their surroundings together about z, and measure how much the score at the true pose varies.
 
     Nothing but the lattice changes under the rotation: what varies is what it does to the score. Each rotation comes
     with a random shift, the same on every grid.
@@ -282,7 +313,7 @@ def _rotation(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
     rows: list[Row] = []
     for k in case["scans"]:
         true = world.pose(k)
-        near = mapped[np.argsort(((world.poses[mapped, :2] - world.poses[k, :2]) ** 2).sum(axis=1), kind="stable")]
+        near = mapped[np.argsort(((world.positions[mapped] - world.positions[k]) ** 2).sum(axis=1), kind="stable")]
         around = np.concatenate([
             (true.inverse() @ world.pose(m)).apply(world.scan(m)) for m in near[:_AROUND].tolist()
         ])  # fmt: skip
@@ -290,8 +321,7 @@ def _rotation(case: Row, rng: np.random.Generator, shared: Shared) -> list[Row]:
         begin = time.process_time()
         scores = []
         for turn in np.arange(shared["rotations"]) * (2.0 * math.pi / shared["rotations"]):
-            x, y = draws.uniform(-5.0, 5.0, 2).tolist()
-            moved = Pose.planar(x, y, float(turn))
+            moved = world.geometry.about_z(float(turn), draws.uniform(-5.0, 5.0, world.geometry.dim))
             cells = VoxelList.from_points(moved.apply(around), lattice)
             scores.append(float(cells.contains(lattice.quantise(moved.apply(world.scan(k)))).mean()))
         cpu = time.process_time() - begin

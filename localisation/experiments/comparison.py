@@ -106,13 +106,9 @@ def risk_area(values: Values) -> FloatArray:
     return np.asarray((np.cumsum(wrong, axis=-1) / taken).mean(axis=-1))
 
 
-# The error squared and normalised below which 95 % of normal errors of three degrees of freedom lie.
-_RADIUS_95 = 7.8147
-
-
 def _off_95(values: Values) -> FloatArray:
     """Return by how much the share of errors inside the 95 % ellipses is not 0.95."""
-    return np.asarray(np.abs((values[..., 0] <= _RADIUS_95).mean(axis=-1) - 0.95))
+    return np.asarray(np.abs((values[..., 0] <= 0.95).mean(axis=-1) - 0.95))
 
 
 def _success(threshold: tuple[float, float]) -> Callable[[Sequence[Row]], Values]:
@@ -173,7 +169,7 @@ def _measures() -> list[Measure]:
         Measure("error", "median error of those found, m", *anywhere, -1, True, _of_right("metres"), _median),
         Measure("turn", "median error of those found, °", *anywhere, -1, True, _of_right("degrees"), _median),
         Measure("risk", "area under risk over coverage", *anywhere, -1, False, _risk, risk_area),
-        Measure("95 %", "distance from 95 % in the 95 % ellipses", *anywhere, -1, False, _of_right("nes"),
+        Measure("95 %", "distance from 95 % in the 95 % ellipses", *anywhere, -1, False, _of_right("within"),
                 _off_95),
         Measure("nodes", "nodes of the search", *anywhere, -1, True, _plain("nodes"), _mean),
     ]  # fmt: skip

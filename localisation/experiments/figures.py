@@ -114,6 +114,8 @@ def run_curves(results: Results) -> Figure:
     def draw(panel: Any, grid: Grid) -> None:
         for method, width, alpha in (("localiser", 1.6, 1.0), ("particle filter", 1.0, _FAINT)):
             rows = results.select(task="localise", grid=grid.number, method=method)
+            if not rows:
+                continue
             good = is_right(rows, THRESHOLDS[1]) & (column(rows, "answered") > 0)
             steps = column(rows, "step")
             along = np.unique(steps)

@@ -23,9 +23,12 @@ from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.scan import Scan
 from localisation.experiments.baselines.particle_filter import FilterSettings, LikelihoodField
 from localisation.experiments.world import World
+from localisation.localiser.lidar_localiser import map_surface_lattice
 from localisation.matching.global_matcher import GlobalMatcher
+from localisation.matching.occupancy import Occupancy
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
+from localisation.matching.surfaces import SurfaceMap
 
 __all__ = ["MapKind", "Prepared", "change_walls", "nearer_than", "prepare", "some_of"]
 
@@ -34,6 +37,8 @@ _BLOCK = 1.0
 # By how much they are moved, metres.
 _MOVED = (0.3, 1.0)
 _KEPT = 3
+# Of a map, as the map maker does by default where the whole of it is searched on the coarsest.
+_LEVELS = {2: 1, 3: 3}
 
 
 @dataclass(frozen=True)
@@ -62,10 +67,14 @@ class Prepared:
     Attributes:
         lattice: its lattice.
         states: its occupied and free cells.
+        searched: those of the level on which the whole map is searched: in space a coarser one.
+        scan: (P, n) the first scan in it, for what a method wants to know of the sensor.
     """
 
     lattice: Lattice
     states: States
+    searched: States
+    scan: FloatArray
 
     def matcher(self) -> GlobalMatcher:
         """Return a new matcher over the whole map.
@@ -73,13 +82,25 @@ class Prepared:
         A case takes one of its own: how many nodes a search takes depends on how far the scans before it saw, for which
         the tables have grown, and what comes before a case depends on the number of workers.
         """
-        pyramid = OccupancyPyramid(coincidence(self.states.occupied))
-        return GlobalMatcher(pyramid, self.states.occupied.merge(self.states.free))
+        pyramid = OccupancyPyramid(coincidence(self.searched.occupied))
+        return GlobalMatcher(pyramid, self.searched.occupied.merge(self.searched.free))
 
     @cached_property
     def pyramid(self) -> OccupancyPyramid:
         """The weights of the map, for what looks around one pose only."""
         return OccupancyPyramid(coincidence(self.states.occupied))
+
+    @cached_property
+    def occupancy(self) -> Occupancy:
+        """The occupied cells of the finest level."""
+        return Occupancy.of_list(self.states.occupied)
+
+    @cached_property
+    def surfaces(self) -> SurfaceMap:
+        """The surfaces of a map of space, as those who follow a sensor in a known map take them from its cells."""
+        surfaces = SurfaceMap(map_surface_lattice(self.lattice, self.scan))
+        surfaces.add(self.states.occupied.centres())
+        return surfaces
 
     @cached_property
     def field(self) -> LikelihoodField:
@@ -103,13 +124,16 @@ def prepare(kind: MapKind, shared: Mapping[str, Any]) -> Prepared:
         return _Kept.maps[kind]
     world = World.of_shared(shared)
     lattice = Lattice(np.array(shared["bases"][kind.grid][kind.turn]))
-    builder = MapBuilder(lattice, levels=1, max_range=kind.farthest)
-    for k in some_of(world.map_scans(), kind.scans).tolist():
+    levels = _LEVELS[lattice.dim]
+    builder = MapBuilder(lattice, levels, max_range=kind.farthest, spare_hits=lattice.dim == 3)
+    numbers = some_of(world.map_scans(), kind.scans).tolist()
+    for k in numbers:
         builder.fuse(Scan(0.0, world.scan(k)), world.pose(k))
-    states = builder.build(finish=True).state()
+    map = builder.build(finish=True)
+    states = [map.state(level=level) for level in range(levels)]
     if kind.changed > 0.0:
-        states = change_walls(states, kind.changed, int(shared["seed"]))
-    made = Prepared(lattice, states)
+        states = [change_walls(state, kind.changed, int(shared["seed"])) for state in states]
+    made = Prepared(lattice, states[0], states[-1], world.scan(numbers[0]))
     _Kept.maps[kind] = made
     while len(_Kept.maps) > _KEPT:
         _Kept.maps.popitem(last=False)
@@ -125,15 +149,16 @@ def some_of(numbers: IntArray, share: float) -> IntArray:
 
 
 def nearer_than(points: FloatArray, metres: float) -> FloatArray:
-    """Return the points (P, 2) that are at most so far from the sensor."""
+    """Return the points (P, n) that are at most so far from the sensor."""
     return np.asarray(points[np.sqrt((points**2).sum(axis=1)) <= metres])
 
 
 def change_walls(states: States, share: float, seed: int) -> States:
     """Return the map after a share of its walls has changed: half of that is gone, half stands elsewhere.
 
-    The plane is cut into squares of a metre; what becomes of a square, and where its walls go, follows from the seed
-    and the square alone, so that the same things change on every lattice. What was under moved walls is free.
+    The plane is cut into squares, space into cubes, of a metre; what becomes of one, and where in the plane its walls
+    go, follows from the seed and the square alone, so that the same things change on every lattice. What was under
+    moved walls is free.
     """
     lattice = states.occupied.lattice
     centres = states.occupied.centres()
@@ -142,7 +167,8 @@ def change_walls(states: States, share: float, seed: int) -> States:
     gone, moved = fate < 0.5 * share, (fate >= 0.5 * share) & (fate < share)
     way = _MOVED[0] + (_MOVED[1] - _MOVED[0]) * far
     angle = 2.0 * math.pi * where
-    shift = np.stack([way * np.cos(angle), way * np.sin(angle)], axis=1)
+    shift = np.zeros_like(centres)
+    shift[:, 0], shift[:, 1] = way * np.cos(angle), way * np.sin(angle)
     there = VoxelList.from_points(centres[moved] + shift[moved], lattice)
     occupied = states.occupied.select(~(gone | moved)).merge(there)
     left = states.occupied.select((gone | moved) & ~there.contains(states.occupied.index))
@@ -151,7 +177,7 @@ def change_walls(states: States, share: float, seed: int) -> States:
 
 
 def _drawn(block: IntArray, seed: int, number: int) -> FloatArray:
-    """Return a number in [0, 1) for each square (M, 2) of the plane: SplitMix64 of its indices and the seed."""
+    """Return a number in [0, 1) for each square (M, 2) or cube (M, 3): SplitMix64 of its indices and the seed."""
     with np.errstate(over="ignore"):
         state: NDArray[np.uint64] = np.full(len(block), 4 * seed + number, np.uint64)
         for column in block.T:

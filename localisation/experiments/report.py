@@ -15,13 +15,15 @@ from localisation.experiments.baselines.particle_filter import FilterSettings
 from localisation.experiments.comparison import Comparison, compare_all, risk_area
 from localisation.experiments.results import Results, Row, column, confidence, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
+from localisation.experiments.space import TILT
 from localisation.experiments.verdicts import interval_of, judge, summary
 from localisation.experiments.world import NEAR
+from localisation.matching.global_matcher import SPREAD_IN_SPACE
 
 __all__ = ["make_report"]
 
-# Squared radii of the ellipses that hold 50, 90 and 95 % of a normal error of three degrees of freedom.
-_RADII = ((50, 2.3660), (90, 6.2514), (95, 7.8147))
+# Ellipses that are looked at: of so many per cent of a normal error.
+_ELLIPSES = (50, 90, 95)
 
 
 def make_report(results: Results, command: str = "") -> Report:
@@ -33,8 +35,8 @@ def make_report(results: Results, command: str = "") -> Report:
     report.verdicts(judge(results, comparisons))
     if comparisons:
         report.heading("Win, even, lose")
-        _add_outcomes(report, comparisons)
-        report.paragraph(summary(comparisons))
+        _add_outcomes(report, comparisons, results.world.geometry.cell)
+        report.paragraph(summary(comparisons, results.world.geometry.cell))
     report.heading("What was done")
     report.paragraph(_what_was_done(results))
     report.paragraph(results.world.reference)
@@ -60,15 +62,33 @@ def _what_was_done(results: Results) -> str:
     return (
         f"{len(world.map_scans()):,} scans make the maps and {len(world.test_scans()):,} others are there to look "
         f"for, within {NEAR:g} m of one of the map's: {by}, and no map contains a scan that is looked for in it. "
-        f"Lattices at resolutions of {sizes} m: {results.grids[0].name}, and the others with cells of the same area "
-        "and, marked (radius), with the same covering radius, which takes fewer cells. All look for the same scans "
-        "from the same starts, with the lattices turned against the map's frame by "
+        f"Lattices at resolutions of {sizes} m: {results.grids[0].name}, and the others with cells of the same "
+        f"{world.geometry.cell} and, marked (radius), with the same covering radius, which takes fewer cells. All look "
+        f"for the same scans from the same starts, with the lattices turned {_TURNED[world.geometry.dim]} by "
         f"{', '.join(f'{t:g}' for t in s.turns)}° in turn, because walls along the axes of a lattice are a case of "
-        "their own. Times are in a report of their own, in the folder times."
+        f"their own.{_in_space(results)} Times are in a report of their own, in the folder times."
     )
 
 
-def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
+_TURNED = {2: "against the map's frame", 3: "about z against the map's frame"}
+
+
+def _in_space(results: Results) -> str:
+    """Say what else is done in space, and what is not."""
+    s = results.settings
+    if results.world.geometry.dim == 2:
+        return ""
+    some = "" if s.points is None else f" At most {s.points:,} points of a scan are taken, at random, for everything."
+    return (
+        " A resolution is that of the finest level of a map of three levels. A scan is levelled by the floors that it "
+        f"sees, searched for with {SPREAD_IN_SPACE} points on the coarsest level, four times as wide, and refined on "
+        f"the finest; nodes and margins are those of the search.{some} Left out is what is compared in the plane only: "
+        "the particle filter (six degrees of freedom are too many for one that begins anywhere) and whole mapping runs "
+        "(the poses of a LiDAR's log come from KISS-ICP before a lattice has a say)."
+    )
+
+
+def _add_outcomes(report: Report, comparisons: Sequence[Comparison], cell: str) -> None:
     """Add the matrix of win, even and lose."""
     columns = list(dict.fromkeys(f"{c.rival} {c.equal} {c.resolution:g} m" for c in comparisons))
     cells: dict[str, dict[str, Compared | None]] = {}
@@ -79,7 +99,7 @@ def _add_outcomes(report: Report, comparisons: Sequence[Comparison]) -> None:
     report.matrix(
         "outcomes", cells, "measure",
         f"Whether a lattice wins or loses against {comparisons[0].base} of the same resolution on the same scans, at "
-        "equal cell area (cell) and at equal covering radius (radius). The number is the ratio or, with a sign, the "
+        f"equal cell {cell} (cell) and at equal covering radius (radius). The number is the ratio or, with a sign, the "
         "difference. Even: the data do not decide it.",
     )  # fmt: skip
 
@@ -119,8 +139,11 @@ def _share(values: Any, seed: int) -> Any:
 
 def _add_global(report: Report, results: Results) -> None:
     report.heading("Anywhere: single scans without a start")
+    where = "The whole map and all yaws"
+    if results.world.geometry.dim == 3:
+        where = f"The whole map, all yaws and tilts of up to {np.degrees(TILT):g}°"
     report.paragraph(
-        "The whole map and all yaws are searched with a certificate, which a search may miss only where it stops at "
+        f"{where} are searched with a certificate, which a search may miss only where it stops at "
         f"{results.settings.node_limit:,} nodes. The angle set is that of Cartographer's matcher (the step that moves "
         "the farthest point by a resolution), with the same score, map and search over shifts."
     )
@@ -175,8 +198,14 @@ def _add_local(report: Report, results: Results) -> None:
             })  # fmt: skip
     report.table(
         "local", rows, formats={**_success_formats(), "error m": ".3f", "m": "g"},
-        caption=f"Share of scans matched from perturbed starts, in a window of {s.window[0]:g} m and {s.window[1]:g}° "
-        "to all sides; starts outside it cannot be mended and say what chance gives.",
+        caption="Share of scans matched from perturbed starts, " + (
+            f"in a window of {s.window[0]:g} m and {s.window[1]:g}° to all sides; starts outside it cannot be mended "
+            "and say what chance gives."
+            if results.world.geometry.dim == 2
+            else "off in a random direction and turned about a random axis: drawn onto the planes of the map's cells, "
+            "as a sensor is followed in a known map. There is no window: what is nearer than half a cell of the planes "
+            "is found."
+        ),
     )  # fmt: skip
     report.figure(
         "local", figures.local_curves(results),
@@ -214,10 +243,9 @@ def _add_runs(report: Report, results: Results) -> None:
         "runs", rows, formats={"right at the end": ".0%", "scans answered": ".0%", "of those within 0.25 m, 2°": ".0%",
                                "beyond 1 m or 5°": ".1%", "risk area": ".3f", "m": "g"},
         caption=f"Robots that wake up at {len(rows) and rows[0]['runs']} instants and see up to {s.length} held-out "
-        "scans each. The localiser answers once one place stands out; the filter counts as having answered where one "
-        "cluster holds 95 % of its weight. Right at the end: answered, and within 0.25 m and 2°. Risk area: under the "
-        "risk over the coverage, all scans taken as answers in the order of the weight of the best hypothesis or "
-        "cluster.",
+        f"scans each. The localiser answers once one place stands out{_filter_answers(results)}. Right at the end: "
+        "answered, and within 0.25 m and 2°. Risk area: under the risk over the coverage, all scans taken as answers "
+        "in the order of the weight of the best hypothesis or cluster.",
     )  # fmt: skip
     report.figure(
         "risk_runs", figures.risk_curves(results, "localise"),
@@ -226,6 +254,12 @@ def _add_runs(report: Report, results: Results) -> None:
     report.figure(
         "runs", figures.run_curves(results), "Share of robots with a right answer (0.25 m, 2°) after so many scans."
     )
+
+
+def _filter_answers(results: Results) -> str:
+    if "particle filter" not in results.methods("localise"):
+        return ""
+    return "; the filter counts as having answered where one cluster holds 95 % of its weight"
 
 
 def _add_maps(report: Report, results: Results) -> None:
@@ -268,9 +302,9 @@ def _add_rotation(report: Report, results: Results) -> None:
         })  # fmt: skip
     report.table(
         "rotation", rows, formats={"mean score": ".3f", "sigma / mu": ".2%", "m": "g"},
-        caption=f"A held-out scan and the scans around it are turned together and shifted at random, {s.rotations} "
-        "times, and the share of its points that meet a cell of theirs is taken at the true pose. Nothing but the "
-        "lattice changes.",
+        caption="A held-out scan and the scans around it are turned together"
+        f"{' about z' if results.world.geometry.dim == 3 else ''} and shifted at random, {s.rotations} times, and the "
+        "share of its points that meet a cell of theirs is taken at the true pose. Nothing but the lattice changes.",
     )  # fmt: skip
 
 
@@ -285,67 +319,76 @@ def _add_learning(report: Report, results: Results) -> None:
             mine = results.select(task="learning", grid=grid.number, axis=axis, value=value)
             row[grid.label] = _share(is_right(mine), s.seed)
         rows.append(row)
+    blocks = {2: "squares", 3: "cubes"}[results.world.geometry.dim]
     report.table(
         "learning", rows, formats={grid.label: ".0%" for grid in grids},
         caption=f"Share of {s.learning_scans} scans found anywhere within 1 m and 5° at {s.learning_resolution:g} m: "
         "with a share of the scans in the map, a share of the beams, points up to a range (m), and after a share of "
-        "the map's walls has gone or moved (squares of a metre, the same on every lattice).",
+        f"the map's walls has gone or moved ({blocks} of a metre, the same on every lattice).",
     )  # fmt: skip
     report.figure("learning", figures.learning_curves(results), "Scans found anywhere (1 m, 5°) as less is known.")
 
 
 def _add_calibration(report: Report, results: Results) -> None:
     rows = []
+    geometry = results.world.geometry
     for task, method in (("global", "all angles"), ("local", "local"), ("localise", "localiser"),
                          ("localise", "particle filter")):  # fmt: skip
         for grid in results.grids:
             mine = results.select(task=task, method=method, grid=grid.number)
             if task == "localise":
                 mine = [row for row in mine if row["answered"]]
-            nes = column(mine, "nes")[is_right(mine)] if mine else np.empty(0)
-            nes = nes[np.isfinite(nes)]
-            if not len(nes):
+            right = [row for row, good in zip(mine, is_right(mine), strict=True) if good and row["nes"] is not None]
+            nes, within = column(right, "nes"), column(right, "within")
+            if not right:
                 continue
             rows.append({
                 **_grid_columns(grid), "answers of": method, "right answers": len(nes),
                 "NES, median": float(np.median(nes)),
-                "NES, mean": float(nes.mean()), **{f"{p} %": float((nes <= r).mean()) for p, r in _RADII},
+                "NES, mean": float(nes.mean()), **{f"{p} %": float((within <= 0.01 * p).mean()) for p in _ELLIPSES},
             })  # fmt: skip
     if rows:
         report.heading("Calibration")
         report.table(
             "calibration", rows,
-            formats={**{f"{p} %": ".0%" for p, _ in _RADII}, "NES, median": ".2f", "NES, mean": ".1f", "m": "g"},
+            formats={**{f"{p} %": ".0%" for p in _ELLIPSES}, "NES, median": ".2f", "NES, mean": ".1f", "m": "g"},
             caption="Errors of right answers (1 m, 5°) squared and normalised by the covariance that came with them: "
-            "of three degrees of freedom, 3 on average and 2.37 in the median; and how many lie inside the ellipses "
+            f"of {geometry.freedom} degrees of freedom, {geometry.freedom} on average and "
+            f"{geometry.median_squared:.2f} in the median; and how many lie inside the ellipses "
             "of 50, 90 and 95 %. Errors of the reference count as errors here.",
         )  # fmt: skip
 
 
 def _limits(results: Results) -> list[str]:
-    s, f = results.settings, FilterSettings()
+    s = results.settings
     out = []
     if s.split == "every" and not results.world.run.any():
         out.append(
             "Held-out scans lie between scans of the map, some decimetres from them: this is easier than to come back "
             "another day (--test takes another run)."
         )
+    if results.world.geometry.dim == 2:
+        out.append(_of_the_filter())
     out.append(
-        f"The particle filter is as AMCL's: a likelihood field on the same cells (sigma {f.sigma_hit:g} m, up to "
-        f"{f.farthest:g} m, z_hit {f.z_hit:g}, z_rand {f.z_rand:g} over {f.range:g} m, {f.beams} beams that count as "
-        f"{f.independent:g} independent ones), KLD-sampling (error {f.error:g}, quantile {f.quantile:g}, bins of "
-        f"{f.cell_metres:g} m and {np.degrees(f.cell_radians):g}°, {f.least:,} to {f.most:,} particles), odometry "
-        f"noise alpha {', '.join(f'{a:g}' for a in f.alpha)}, updates after {f.step_metres:g} m or "
-        f"{np.degrees(f.step_radians):.1f}°, recovery alphas {f.slow:g} and {f.fast:g}, spread over all free cells at "
-        "first. AMCL's own sum of third powers and alphas of 0.2 did worse on simulated buildings. Nothing was tuned "
-        "to the log, of the filter or of the others."
-    )
-    out.append(
-        "Intervals treat the scans of one log as a sample of what the robot may see in this place; they say nothing "
-        "of other places. Runs share one map and may share scans."
+        "Nothing was tuned to the log. Intervals treat the scans of one log as a sample of what the robot may see in "
+        "this place; they say nothing of other places. Runs share one map and may share scans."
     )
     out.append(
         "At equal covering radius a lattice has larger cells: for that alone it may win in nodes and in a steady "
         "score, and lose in precision. What larger cells win by being met more often is not compared."
     )
     return out
+
+
+def _of_the_filter() -> str:
+    """Say what the particle filter was."""
+    f = FilterSettings()
+    return (
+        f"The particle filter is as AMCL's: a likelihood field on the same cells (sigma {f.sigma_hit:g} m, up to "
+        f"{f.farthest:g} m, z_hit {f.z_hit:g}, z_rand {f.z_rand:g} over {f.range:g} m, {f.beams} beams that count as "
+        f"{f.independent:g} independent ones), KLD-sampling (error {f.error:g}, quantile {f.quantile:g}, bins of "
+        f"{f.cell_metres:g} m and {np.degrees(f.cell_radians):g}°, {f.least:,} to {f.most:,} particles), odometry "
+        f"noise alpha {', '.join(f'{a:g}' for a in f.alpha)}, updates after {f.step_metres:g} m or "
+        f"{np.degrees(f.step_radians):.1f}°, recovery alphas {f.slow:g} and {f.fast:g}, spread over all free cells at "
+        "first. AMCL's own sum of third powers and alphas of 0.2 did worse on simulated buildings."
+    )

@@ -16,12 +16,14 @@ from hexmap.base.arrays import IntArray
 from hexmap.base.atomic_files import atomic_write
 from hexmap.experiments.report.report import Report
 from hexmap.experiments.run_cases import run_cases
+from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.io.logs.log import Log
 from hexmap.poses.trajectory import Trajectory
 from localisation.experiments.cases import experiment_case
+from localisation.experiments.reading import read_world
 from localisation.experiments.results import Results, parquet_bytes
-from localisation.experiments.settings import ExperimentSettings, Grid
-from localisation.experiments.world import World, read_world
+from localisation.experiments.settings import ExperimentSettings, Grid, in_space_settings
+from localisation.experiments.world import World
 
 __all__ = ["SURE", "ExperimentOutcome", "localisation_experiment", "plan_cases"]
 
@@ -81,11 +83,11 @@ class ExperimentOutcome:
 
 
 def localisation_experiment(
-    log: Log,
+    log: Log | LidarLog,
     settings: ExperimentSettings | None = None,
     *,
     poses: Trajectory | None = None,
-    test: Log | None = None,
+    test: Log | LidarLog | None = None,
     test_poses: Trajectory | None = None,
     associate: str | None = None,
     command: str = "",
@@ -96,8 +98,8 @@ def localisation_experiment(
     """Run the experiment on a log and return what was found.
 
     Args:
-        log: an open planar log.
-        settings: what to do.
+        log: an open log of a planar laser or a LiDAR.
+        settings: what to do; None: the defaults of the plane, or of space.
         poses: T_map_robot of its scans, the reference; None: what the map maker finds.
         test: another run of the same place, whose scans are looked for; None: the log itself is split.
         test_poses: its T_map_robot in the same frame.
@@ -113,7 +115,7 @@ def localisation_experiment(
         ArgumentError: a setting, or poses that are missing.
         AlignmentError: the other run is not found in the map of the first.
     """
-    settings = settings or ExperimentSettings()
+    settings = settings or (in_space_settings() if isinstance(log, LidarLog) else ExperimentSettings())
     code = _fingerprint()
 
     def run(function: Any, cases: list[Case], shared: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -9,20 +9,31 @@ from typing import Any
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.convert import LatticeLike, as_lattice, plain_basis
 from hexmap.lattice.lattice import Lattice
-from hexmap.poses.pose import Pose
+from localisation.experiments.geometry import geometry_of
 
-__all__ = ["LEARNING_AXES", "TASKS", "THRESHOLDS", "ExperimentSettings", "Grid", "quick"]
+__all__ = [
+    "LEARNING_AXES", "SPACE_TASKS", "TASKS", "THRESHOLDS", "ExperimentSettings", "Grid", "in_space_settings", "quick",
+]  # fmt: skip
 
 THRESHOLDS = ((0.1, 1.0), (0.25, 2.0), (1.0, 5.0))
 """Metres and degrees within which a pose counts as right."""
 
 TASKS = ("global", "local", "localise", "mapping", "rotation", "learning")
+SPACE_TASKS = tuple(task for task in TASKS if task != "mapping")
+"""What is compared in space."""
 LEARNING_AXES = ("scans", "beams", "range", "changed")
 # An interval over fewer scans says nothing.
 LEAST_SCANS = 8
 _OWN = "own"
 # Degrees between mapping runs: multiples of it lie well apart on squares, alike after 90 degrees, and on hexagons.
 _RUN_STEP = 17.0
+# Points of a scan with which something can be found.
+_LEAST_POINTS = 1000
+_IN_SPACE: dict[str, Any] = {
+    "lattices": ("Z3", "D3", "D3*"), "resolutions": (0.1, 0.2), "tasks": SPACE_TASKS, "scans": 24, "starts": 6,
+    "length": 4, "learning_scans": 12, "ranges": (20.0, 10.0, 5.0), "turns": (0.0, 17.0), "rotations": 18,
+    "points": 20_000,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -34,7 +45,7 @@ class Grid:
         lattice: the lattice.
         name: of the lattice.
         resolution: what was asked for, metres: that of the first lattice at equal cells.
-        equal: to the first lattice in this: "cell" (area) or "radius" (of covering).
+        equal: to the first lattice in this: "cell" (area or volume) or "radius" (of covering).
     """
 
     number: int
@@ -51,12 +62,12 @@ class Grid:
 
 @dataclass(frozen=True)
 class ExperimentSettings:
-    """All settings; plain numbers and texts, which the report prints.
+    """All settings; plain numbers and texts, which the report prints. The defaults are those of a planar log.
 
     Attributes:
         lattices: lattices, names, or bases (columns are generators, in any unit), kept as names and nested tuples; the
             others are compared with the first.
-        resolutions: metres.
+        resolutions: metres; in space those of the maps' finest level.
         split: "every" holds out every ``hold_out``-th scan, "half" the second half of the log.
         hold_out: see there; where whole stretches are held out, robots without a start see one scan in so many of them.
         tasks: which of :data:`TASKS` to do.
@@ -70,12 +81,13 @@ class ExperimentSettings:
         shares: of the scans in the map and of the beams kept, for learning curves; 1 is added.
         ranges: metres beyond which points are left out, for learning curves; no limit is added.
         changes: shares of the map that change, for learning curves; 0 is added.
-        turns: degrees by which the lattices are turned against the map's frame. Walls along the axes of a lattice are
-            a case of their own, and frames often lie along walls: every scan is looked for at one of these turns, the
-            same on every lattice, one after the other.
+        turns: degrees by which the lattices are turned about z against the map's frame. Walls along the axes of a
+            lattice are a case of their own, and frames often lie along walls: every scan is looked for at one of these
+            turns, the same on every lattice, one after the other.
         runs: whole mapping runs a grid, with the lattice at an angle of its own for each, :attr:`all_turns`.
         rotations: of map and scan together, for the variability of the score.
         max_range: metres beyond which points are left out everywhere; None: none.
+        points: of each scan at the most, drawn at random, for maps and searches alike; None: all. For LiDARs only.
         seed: of everything that is drawn.
     """
 
@@ -98,13 +110,14 @@ class ExperimentSettings:
     runs: int = 6
     rotations: int = 36
     max_range: float | None = None
+    points: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ArgumentError: one is out of its range, or a lattice is not one of the plane.
+            ArgumentError: one is out of its range, or lattices are of the plane and of space.
             LatticeError: a lattice is not known.
         """
         object.__setattr__(self, "lattices", tuple(plain_basis(lattice) for lattice in self.lattices))
@@ -132,23 +145,47 @@ class ExperimentSettings:
             raise ArgumentError(f"ranges must be positive numbers of metres, not {self.ranges} and {self.max_range}")
         if not self.turns or not all(math.isfinite(t) for t in self.turns):
             raise ArgumentError(f"turns must be numbers of degrees, not {self.turns}")
+        if self.points is not None and self.points < _LEAST_POINTS:
+            raise ArgumentError(f"the setting points is at least {_LEAST_POINTS}, not {self.points}")
         if self.seed < 0:
             raise ArgumentError(f"the seed must be 0 or larger, not {self.seed}")
         names = [grid.label for grid in self.grids() if grid.resolution == self.resolutions[0]]
         if len(set(names)) < len(names):
             raise ArgumentError(f"a lattice is given twice: {', '.join(names)}")
 
+    @property
+    def dim(self) -> int:
+        """2 for lattices of the plane, 3 for those of space."""
+        return _unit(self.lattices[0]).dim
+
+    def check_dim(self, dim: int) -> None:
+        """Check that the lattices are those of a log.
+
+        Raises:
+            ArgumentError: they are of another dimension than ``dim``, or a task is.
+        """
+        if self.dim != dim:
+            name, where = self.grids()[0].name, {2: "the plane", 3: "space"}[self.dim]
+            log, take = {2: ("a planar log", "Z2 or A2"), 3: ("a LiDAR's log", "Z3, D3 or D3*")}[dim]
+            raise ArgumentError(f"{log} cannot be mapped on {name}, a lattice of {where}; take {take}")
+        if dim == 3 and "mapping" in self.tasks:
+            raise ArgumentError(f"the task mapping is one of the plane; in space there are {', '.join(SPACE_TASKS)}")
+
     def grids(self) -> list[Grid]:
         """Return every lattice at every size: the first as asked for, the others at equal cell and covering radius.
 
         Raises:
-            ArgumentError: a lattice is not one of the plane.
+            ArgumentError: lattices of the plane and of space.
             LatticeError: a lattice is not known.
         """
         unit = [(_name(v, k), _unit(v)) for k, v in enumerate(self.lattices)]
+        first, dim = unit[0][0], unit[0][1].dim
         for name, lattice in unit:
-            if lattice.dim != 2:
-                raise ArgumentError(f"a planar log cannot be mapped on {name}, a lattice of space; take Z2 or A2")
+            if lattice.dim != dim:
+                plane, space = (first, name) if dim == 2 else (name, first)
+                raise ArgumentError(
+                    f"{plane}, a lattice of the plane, cannot be compared with {space}, a lattice of space"
+                )
         out: list[Grid] = []
         for r in self.resolutions:
             base = unit[0][1].scaled(r)
@@ -167,7 +204,7 @@ class ExperimentSettings:
 
     def bases(self) -> list[list[list[list[float]]]]:
         """Return the basis of every grid at every turn."""
-        turned = [Pose.planar(0.0, 0.0, math.radians(t)).rotation for t in self.all_turns]
+        turned = [geometry_of(self.dim).about_z(math.radians(t)).rotation for t in self.all_turns]
         return [[(R @ grid.lattice.basis).tolist() for R in turned] for grid in self.grids()]
 
     @property
@@ -180,10 +217,19 @@ class ExperimentSettings:
         return {**asdict(self), "lattices": [_name(v, k) for k, v in enumerate(self.lattices)]}
 
 
+def in_space_settings(**values: Any) -> ExperimentSettings:
+    """Return the settings of a LiDAR's log: the defaults of space, and the values that are given.
+
+    A LiDAR sees some hundred times as many points as a planar laser and far more of a building at once: fewer scans are
+    looked for, with a part of the points, and a sensor that wakes up sees fewer scans before it must know.
+    """
+    return ExperimentSettings(**{**_IN_SPACE, **values})
+
+
 def quick(settings: ExperimentSettings) -> ExperimentSettings:
     """Return the settings with smaller numbers of everything: for a first look, with wide intervals."""
     return replace(
-        settings, scans=16, starts=4, length=12, learning_scans=8, shares=settings.shares[1:2],
+        settings, scans=16, starts=4, length=min(12, settings.length), learning_scans=8, shares=settings.shares[1:2],
         ranges=settings.ranges[1:2], changes=settings.changes[1:2], runs=4, rotations=18, node_limit=300_000,
     )  # fmt: skip
 

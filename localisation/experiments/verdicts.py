@@ -14,9 +14,7 @@ from localisation.experiments.comparison import Comparison, sign_test
 from localisation.experiments.results import Results, column, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
 
-__all__ = ["EQUAL_WORDS", "interval_of", "judge", "summary"]
-
-EQUAL_WORDS = {"cell": "at equal cell area", "radius": "at equal covering radius"}
+__all__ = ["equal_words", "interval_of", "judge", "summary"]
 
 # A claim about the rival, and by which measures it is judged.
 _CLAIMS = (
@@ -35,16 +33,22 @@ _CLAIMS = (
 _COVERED = (0.90, 0.99)
 
 
+def equal_words(equal: str, cell: str) -> str:
+    """Say in what lattices are equal; ``cell`` is what their cells are measured by: area or volume."""
+    return {"cell": f"at equal cell {cell}", "radius": "at equal covering radius"}[equal]
+
+
 def judge(results: Results, comparisons: Sequence[Comparison]) -> list[Verdict]:
     """Return a verdict on each claim that the tasks at hand can decide."""
     out: list[Verdict] = []
     rivals = list(dict.fromkeys((c.rival, c.base, c.equal) for c in comparisons))
+    cell = results.world.geometry.cell
     for rival, base, equal in rivals:
         mine = [c for c in comparisons if (c.rival, c.equal) == (rival, equal)]
         for claim, keys in _CLAIMS:
             about = [c for c in mine if _belongs(c.measure.key, keys)]
             if about:
-                out.append(_verdict(f"{rival} {claim} than {base} {EQUAL_WORDS[equal]}", about))
+                out.append(_verdict(f"{rival} {claim} than {base} {equal_words(equal, cell)}", about))
     return [*out, *_against_angle_set(results), *_against_filter(results), *_calibrated(results)]
 
 
@@ -89,15 +93,16 @@ def _words(c: Comparison) -> str:
     return f"{c.outcome} at {c.resolution:g} m, {c.measure.label}: {sign} {format_interval(c.interval)}"
 
 
-def summary(comparisons: Sequence[Comparison]) -> str:
-    """Return what became of all comparisons in a few sentences."""
+def summary(comparisons: Sequence[Comparison], cell: str = "area") -> str:
+    """Return what became of all comparisons in a few sentences; ``cell`` is what cells are measured by."""
     text = []
     for rival, base, equal in dict.fromkeys((c.rival, c.base, c.equal) for c in comparisons):
         mine = [c for c in comparisons if (c.rival, c.equal) == (rival, equal)]
         counts = [sum(c.outcome == which for c in mine) for which in ("win", "tie", "lose")]
         text.append(
-            f"{rival} against {base} {EQUAL_WORDS[equal]}: {counts[0]} of {len(mine)} comparisons won, {counts[1]} "
-            f"even, {counts[2]} lost; {_throughout(mine, 'win', 'won')}, {_throughout(mine, 'lose', 'lost')}."
+            f"{rival} against {base} {equal_words(equal, cell)}: {counts[0]} of {len(mine)} comparisons won, "
+            f"{counts[1]} even, {counts[2]} lost; {_throughout(mine, 'win', 'won')}, "
+            f"{_throughout(mine, 'lose', 'lost')}."
         )
     total = len(comparisons)
     text.append(
@@ -164,7 +169,7 @@ def _better_on_every_grid(
     evidence = []
     for grid in results.grids:
         a, b = (right(grid, method) for method in methods)
-        if not len(a):
+        if not len(a) or not len(b):
             return []
         p = sign_test(a, b)
         won, lost = won + (p <= 0.05 and a.mean() > b.mean()), lost + (p <= 0.05 and a.mean() < b.mean())
@@ -189,10 +194,10 @@ def _calibrated(results: Results) -> list[Verdict]:
             rows = results.select(task=task, method=method, grid=grid.number)
             if task == "localise":
                 rows = [row for row in rows if row["answered"]]
-            nes = column([row for row, good in zip(rows, is_right(rows), strict=True) if good], "nes")
-            nes = nes[np.isfinite(nes)]
-            if len(nes):
-                shares.append((f"{grid.label} {grid.resolution:g} m", float((nes <= 7.8147).mean()), len(nes)))
+            within = column([row for row, good in zip(rows, is_right(rows), strict=True) if good], "within")
+            within = within[np.isfinite(within)]
+            if len(within):
+                shares.append((f"{grid.label} {grid.resolution:g} m", float((within <= 0.95).mean()), len(within)))
         if shares:
             good = [_COVERED[0] <= share <= _COVERED[1] for _, share, _ in shares]
             name = method if task == "localise" else f"{task} match"

@@ -27,7 +27,7 @@ from localisation.lidar_settings import LidarSettings
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.localise_log import Track, TrackCounter
 from localisation.matching.global_matcher import GlobalMatcher, spread_points
-from localisation.matching.gravity import levelling
+from localisation.matching.gravity import levelling_of
 from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
@@ -37,7 +37,14 @@ from localisation.odometry.lidar_odometry import LidarOdometry, surface_lattice
 from localisation.slam import spatial
 from localisation.slam.lidar_loops import drawn_covariance
 
-__all__ = ["LidarLocaliser", "Place", "localise_lidar_log", "space_csv_header", "space_csv_line"]
+__all__ = [
+    "LidarLocaliser",
+    "Place",
+    "localise_lidar_log",
+    "map_surface_lattice",
+    "space_csv_header",
+    "space_csv_line",
+]
 
 # Cells of the search hold so many cells of the map at least: glass and fog leave single ones far outside.
 _LEAST_CELLS = 3
@@ -153,8 +160,7 @@ class LidarLocaliser:
     def _prepare(self, points: FloatArray) -> None:
         """Make the tables of the map for what the sensor sees."""
         fine = self._states.occupied.lattice
-        coarse, _ = surface_lattice(fine, points)
-        coarse = fine.scaled(max(coarse.resolution / fine.resolution, _COARSE))
+        coarse = map_surface_lattice(fine, points)
         centres = fine.centres(self._states.occupied.index)
         self._surfaces = SurfaceMap(coarse)
         self._surfaces.add(centres)
@@ -351,10 +357,18 @@ class LidarLocaliser:
     def _level(self, points: FloatArray, lattice: Lattice) -> Pose:
         """Return the attitude of the sensor but for yaw: as it is mounted, and by the floors that it sees."""
         mounted = Pose(self._mount.rotation, np.zeros(3))
-        surfaces = SurfaceMap(lattice)
-        surfaces.add(mounted.apply(points))
-        found = levelling(surfaces)
-        return mounted if found is None else found @ mounted
+        return levelling_of(mounted.apply(points), lattice) @ mounted
+
+
+def map_surface_lattice(fine: Lattice, points: FloatArray) -> Lattice:
+    """Return the lattice of the surfaces that a map's occupied cells make, and on which it is searched.
+
+    Args:
+        fine: the lattice of the map.
+        points: (N, 3) a scan of the sensor, metres.
+    """
+    coarse, _ = surface_lattice(fine, points)
+    return fine.scaled(max(coarse.resolution / fine.resolution, _COARSE))
 
 
 def _is_apart(a: Pose, b: Pose) -> bool:

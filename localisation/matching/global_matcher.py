@@ -37,10 +37,12 @@ from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
 from localisation.matching.search_space import SearchSpace
 
-__all__ = ["GlobalMatcher", "match_anywhere", "spread_points", "thin"]
+__all__ = ["SPREAD_IN_SPACE", "GlobalMatcher", "match_anywhere", "refined_finely", "spread_points", "thin"]
 
-# Of a LiDAR's scan, what is searched with and what the pose is refined with on the finest level.
-_SPREAD_IN_SPACE, _REFINED_IN_SPACE = 400, 4000
+SPREAD_IN_SPACE = 400
+"""Points of a LiDAR's scan that are searched with."""
+# And those with which the pose is refined on the finest level.
+_REFINED_IN_SPACE = 4000
 
 
 def thin(points: FloatArray, lattice: Lattice) -> tuple[FloatArray, IntArray]:
@@ -264,10 +266,23 @@ def match_anywhere(map: Map, points: ArrayLike, **how: Any) -> Match | None:
     if map.lattice.dim == 2:
         return GlobalMatcher.of_map(map).match(points, **how)
     level = len(map.levels) - 1
-    how.setdefault("most_points", _SPREAD_IN_SPACE)
+    how.setdefault("most_points", SPREAD_IN_SPACE)
     match = GlobalMatcher.of_map(map, level=level).match(points, **how)
     if match is None or level == 0 or not how.get("refine", True):
         return match
-    p = spread_points(np.ascontiguousarray(points, np.float64), map.lattice, _REFINED_IN_SPACE)
-    fine = refine_on(Occupancy.of_map(map), p, match.pose, searched=map.levels[level].lattice)
-    return replace(match, pose=fine.pose, refined=fine.converged) if fine.converged else match
+    return refined_finely(match, np.ascontiguousarray(points, np.float64), Occupancy.of_map(map),
+                          map.levels[level].lattice)  # fmt: skip
+
+
+def refined_finely(match: Match, points: FloatArray, fine: Occupancy, searched: Lattice) -> Match:
+    """Return a match of space with its pose refined on a finer level than the one it was searched on.
+
+    Args:
+        match: as it was found.
+        points: (P, 3) the scan in the sensor's frame, metres; some thousand of them are taken.
+        fine: the occupied cells of the finer level.
+        searched: the lattice of the level that was searched.
+    """
+    p = spread_points(points, fine.lattice, _REFINED_IN_SPACE)
+    refined = refine_on(fine, p, match.pose, searched=searched)
+    return replace(match, pose=refined.pose, refined=True) if refined.converged else match

@@ -7,11 +7,12 @@ import math
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
+from hexmap.lattice.lattice import Lattice
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import exponential
 from localisation.matching.surfaces import SurfaceMap
 
-__all__ = ["levelling", "up_direction"]
+__all__ = ["levelling", "levelling_of", "up_direction"]
 
 # Floors and ceilings are planes whose normals lean no farther than this from the z axis, radians, and
 _FARTHEST_LEAN = math.radians(45.0)
@@ -52,3 +53,15 @@ def levelling(surfaces: SurfaceMap) -> Pose | None:
     if sine < 1e-12:
         return Pose.identity(3)
     return Pose(exponential(axis / sine * math.atan2(sine, float(up[2]))), np.zeros(3))
+
+
+def levelling_of(points: FloatArray, lattice: Lattice) -> Pose:
+    """Return the smallest turn that makes the floors of a scan level, the identity where it sees hardly any.
+
+    Args:
+        points: (N, 3) of the scan, metres.
+        lattice: in whose cells its planes are looked for.
+    """
+    surfaces = SurfaceMap(lattice)
+    surfaces.add(points)
+    return levelling(surfaces) or Pose.identity(3)

@@ -2,18 +2,16 @@
 
     python -m tests.benchmarks.lidar [NAME ...] [--seeds N] [--first SEED] [--no-bare]
 
-Names are hall, vlp16, simulated, bits; all without a name. One thread; seconds are the processor's. What needs the
-shared data is left out where it is absent.
+Names are hall, vlp16, places, question, simulated, bits; all without a name. One thread; seconds are the processor's.
+What needs the shared data is left out where it is absent.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import itertools
 import math
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -50,6 +48,9 @@ from localisation.odometry.lidar_odometry import surface_lattice
 from localisation.slam import spatial
 from localisation.slam.lidar_slam import LidarSlam, LidarSlamResult
 from tests.benchmarks._common import data_folder, table, versions
+from tests.benchmarks.lidar_bits import bits
+from tests.benchmarks.lidar_places import places
+from tests.benchmarks.lidar_question import question
 from tests.benchmarks.slam import build, reasons
 
 # A point a cell of this size, metres, and scan: walls near the sensor must not outweigh the others.
@@ -398,28 +399,6 @@ def simulated(seeds: Sequence[int], bare: bool = True) -> None:
     print()
 
 
-def bits(folder: Path, runs: int = 3, logs: Sequence[str] = ("vlp16", "hall")) -> None:
-    """Say whether runs give the same map and trajectory, alone and with other processes that work at the same time."""
-    busy = [sys.executable, "-c", "while True: sum(range(1000))"]
-    for name in logs:
-        found: dict[int, set[str]] = {}
-        for others in (0, 1, 2):
-            found[others] = set()
-            with ExitStack() as stack, tempfile.TemporaryDirectory() as work:
-                for _ in range(others):
-                    process = stack.enter_context(subprocess.Popen(busy))
-                    stack.callback(process.kill)
-                for _ in range(runs if others == 0 else 1):
-                    build(folder / name, Path(work))
-                    digest = hashlib.sha256()
-                    for part in ("m.parquet", "t.tum", "l.csv"):
-                        digest.update((Path(work) / part).read_bytes())
-                    found[others].add(digest.hexdigest())
-        different = len(set().union(*found.values()))
-        print(f"{name}: {runs} runs alone, one beside 1 and one beside 2 busy processes: "
-              f"{different} different result{'s' * (different > 1)}\n")  # fmt: skip
-
-
 def main(arguments: list[str]) -> None:
     """Print the tables that are asked for, or all."""
     parser = argparse.ArgumentParser(description="figures of maps from LiDAR logs")
@@ -430,7 +409,9 @@ def main(arguments: list[str]) -> None:
     chosen = parser.parse_args(arguments)
     print(versions("hexmap", "numpy", "numba", "gtsam", "kiss-icp"), "\n")
     folder = data_folder() / "lidar3d"
-    of_logs: dict[str, Callable[[Path], None]] = {"hall": hall, "vlp16": vlp16, "bits": bits}
+    of_logs: dict[str, Callable[[Path], None]] = {
+        "hall": hall, "vlp16": vlp16, "places": places, "question": question, "bits": bits,
+    }  # fmt: skip
     for name in chosen.names or [*of_logs, "simulated"]:
         if name == "simulated":
             simulated(range(chosen.first, chosen.first + chosen.seeds), not chosen.no_bare)

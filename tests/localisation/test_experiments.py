@@ -42,9 +42,10 @@ from localisation.experiments.comparison import (
     sign_test,
 )
 from localisation.experiments.maps import change_walls
+from localisation.experiments.reading import read_world
 from localisation.experiments.run import ExperimentOutcome, localisation_experiment
 from localisation.experiments.settings import ExperimentSettings
-from localisation.experiments.world import NEAR, World, read_world
+from localisation.experiments.world import NEAR, World
 from tests.lattices import JIT, PLANAR, Case
 
 pytestmark = pytest.mark.skipif(not JIT, reason="whole drives take minutes without the compiler")
