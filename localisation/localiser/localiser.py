@@ -45,6 +45,8 @@ _WIDENED = 4.0
 _HOPELESS = 10.0
 # A search that found too many places is repeated after up to 2^3 steps.
 _MOST_DOUBLINGS = 3
+# The same while nothing is found at all: a robot outside the map is looked for every 8 m.
+_MOST_DOUBLINGS_LOST = 5
 # Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a
 # scan's points lie within their median range; two such discs share 39 % where their centres are one such range apart.
 _VIEW = 1.0
@@ -214,10 +216,14 @@ class Localiser:
     def _search(self, points: FloatArray) -> None:
         """Look for a scan in the whole map; without points nothing is known afterwards either."""
         self._places = []
-        if len(points) == 0 or (self._waited < self.settings.step_metres and self._turned < self.settings.step_radians):
+        # Where scan after scan is not in the map the next is hardly: each wait after the second is twice the last.
+        waits = 2.0 ** max(0, self._fruitless - 1)
+        s = self.settings
+        if len(points) == 0 or (self._waited < waits * s.step_metres and self._turned < waits * s.step_radians):
             return
         self._waited = self._turned = 0.0
         self._places = self._newcomers(points, 0.0)
+        self._fruitless = 0 if self._places else min(self._fruitless + 1, _MOST_DOUBLINGS_LOST)
         self._settle_on(points)
 
     def _doubt(self, place: Place, points: FloatArray) -> None:

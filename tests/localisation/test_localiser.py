@@ -18,6 +18,7 @@ from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
 from hexmap.simulator.buildings import Building, make_building
 from hexmap.simulator.events import SimulatedEvent, simulate
+from localisation.localiser import localiser as localiser_module
 from localisation.localiser.estimate import Estimate, TrackState
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
@@ -112,6 +113,29 @@ def test_another_building_is_not_in_this_map() -> None:
     estimates = run(Localiser(world), [m.event for m in moments])
     assert not any(e.pose is not None for e in estimates)
     assert estimates[-1].state is TrackState.lost
+
+
+def test_a_robot_that_is_nowhere_in_the_map_is_looked_for_less_and_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log of another building ends in minutes: its long searches do not come every half a metre."""
+    world, _ = room()
+    searches: list[float] = []
+    found = localiser_module.find_hypotheses
+
+    def counted(*given: object, **how: object) -> object:
+        searches.append(driven)
+        return found(*given, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(localiser_module, "find_hypotheses", counted)
+    localiser, driven, before = Localiser(world), 0.0, None
+    for moment in drive(make_building("castle"), 3, duration=60.0):
+        at = moment.T_map_robot.translation
+        driven += 0.0 if before is None else float(np.linalg.norm(at - before))
+        before = at
+        assert isinstance(moment.event, Scan)
+        localiser.add(moment.event)
+    assert localiser.state is TrackState.lost
+    assert len(searches) < 0.5 * driven / localiser.settings.step_metres
+    assert searches[2] < 3.0  # the first ones come at once, for a robot that only began where little is seen
 
 
 def test_two_equal_rooms_are_both_kept_until_the_robot_sees_what_tells_them_apart() -> None:

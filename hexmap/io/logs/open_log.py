@@ -116,6 +116,13 @@ def bag_kind(path: Path) -> tuple[str, list[Path] | None] | None:
     return str(kinds.pop()), in_order(storages)
 
 
+def _text_logs(folder: Path) -> list[Path]:
+    """Return the files of a folder that begin as a CARMEN or Wean Hall log does, by name."""
+    kinds = (file_kinds.WEAN_LOG, file_kinds.CARMEN_LOG)
+    files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    return [path for path in files if file_kinds.find_kind(beginning(path), kinds) is not None]
+
+
 def _beginning(path: Path, head: bytes) -> bytes:
     """Return the first bytes inside a gzip file that begins with ``head``."""
     try:
@@ -134,6 +141,11 @@ def _open_bag(path: Path, settings: LogSettings, kind: str) -> Log:
 
 def _open_folder(path: Path, settings: LogSettings) -> Log:
     found = bag_kind(path)
+    others = [] if (path / "metadata.yaml").is_file() else _text_logs(path)
+    if others:
+        names = ", ".join(other.name for other in others[:4]) + (", ..." if len(others) > 4 else "")
+        beside = "" if found is None else " beside bags"
+        raise LogError(f"{path}: a folder of {len(others)} logs ({names}){beside}; name the log to read, or several")
     if found is None:
         raise LogError(f"{path}: a folder without metadata.yaml is not a ROS 2 bag, and no bags are in it")
     from hexmap.io.logs.bags import BagLog

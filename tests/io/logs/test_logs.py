@@ -478,3 +478,10 @@ def test_devices_and_pipes_are_no_logs(tmp_path: Path) -> None:
 def test_beams_that_no_fan_has_cost_their_line(tmp_path: Path) -> None:
     log, events = read(write(tmp_path / "a.log", robotlaser(RANGES), robotlaser(RANGES, step=1e300)))
     assert len(events) == 1 and "line 2: beams from -1 by 1e+300 rad" in log.warnings[0]
+
+
+def test_a_folder_of_several_logs_is_refused_by_name(tmp_path: Path) -> None:
+    for name in ("a.clf", "b.clf"):
+        (tmp_path / name).write_text("ODOM 0 0 0 0 0 0 1 h 1\n" * 3)
+    with pytest.raises(LogError, match=r"a folder of 2 logs \(a.clf, b.clf\); name the log to read"):
+        open_log(tmp_path)
