@@ -1,0 +1,105 @@
+"""Cells of the plane as dense square tiles of bytes, compressed: the form in which a page carries them.
+
+Whoever reads a page needs nothing but an inflater: tiles follow one another in the order of their indices; of each array
+come all tiles' lowest bytes first, then the next ones. Counts of passes are replaced by how far they are off a guess
+from three neighbours (the median predictor of LOCO-I, Weinberger and others, 2000), which halves a page.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hexmap.base.errors import BoundsError, TooLargeError
+
+__all__ = ["MOST_COUNT", "Tiles", "compress", "encode"]
+
+MOST_COUNT = 2**53 - 1  # beyond, a browser's numbers have gaps
+_LAYERS = 256  # of a texture array, that every device with WebGL2 has
+_SIDES = (512, 1024, 2048)  # 2048 is what every such device has
+_THOROUGH = 1 << 26  # bytes up to which the best compression takes seconds only
+
+
+class Tiles:
+    """Which square tiles of a lattice's indices hold a known cell, and where in them each cell is.
+
+    Attributes:
+        side: cells along each index of a tile.
+        corners: (K, 2) int64 tiles, lexicographically: the index of its first cell over ``side``.
+    """
+
+    def __init__(self, index: NDArray[np.int32]) -> None:
+        """Take the cells (M, 2).
+
+        Raises:
+            TooLargeError: they are spread over more tiles than a browser can hold.
+        """
+        for side in _SIDES:
+            at = index.astype(np.int64) // side
+            corners, which = np.unique(at, axis=0, return_inverse=True)
+            if len(corners) <= _LAYERS:
+                break
+        else:
+            raise TooLargeError(
+                f"a page holds cells in {_LAYERS} tiles of {side} x {side} indices, and these lie in {len(corners):,}; "
+                "crop the map, or take a coarser level"
+            )
+        self.side = side
+        self.corners = corners.reshape(-1, 2)
+        inside = index.astype(np.int64) - at * side
+        self._flat = (which.ravel() * side + inside[:, 0]) * side + inside[:, 1]
+
+    def dense(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return ``values`` (M,) as an array (K, side, side), 0 where no cell is."""
+        out = np.zeros(len(self.corners) * self.side**2, values.dtype)
+        out[self._flat] = values
+        return out.reshape(len(self.corners), self.side, self.side)
+
+
+def bytes_of(largest: int) -> int:
+    """Return how many bytes a count takes.
+
+    Raises:
+        BoundsError: more than the 53 bits that a browser's numbers have.
+    """
+    if largest > MOST_COUNT:
+        raise BoundsError(f"a page holds counts up to {MOST_COUNT}, not {largest}")
+    return max(1, (int(largest).bit_length() + 7) // 8)
+
+
+def encode(tiles: Tiles, values: NDArray[np.integer[Any]], predicted: bool) -> tuple[bytes, int]:
+    """Return the byte planes of ``values`` (M,), as yet uncompressed, and how many planes there are.
+
+    Args:
+        tiles: where the values belong.
+        values: counts of 0 or more.
+        predicted: write differences to what three neighbours predict, 2 d or -2 d - 1 for negative ones.
+    """
+    largest = int(values.max(initial=0))
+    # A difference has a sign, which takes one bit more.
+    planes = bytes_of(2 * largest + 1 if predicted else largest)
+    narrow = values.astype(np.int32 if 2 * largest < 2**31 - 2 else np.int64)
+    dense = tiles.dense(narrow)
+    if predicted:
+        for tile in dense:
+            off = tile - _guess(tile)
+            tile[...] = np.where(off >= 0, 2 * off, -2 * off - 1)
+    return b"".join(((dense >> (8 * k)) & 255).astype(np.uint8).tobytes() for k in range(planes)), planes
+
+
+def _guess(tile: NDArray[Any]) -> NDArray[Any]:
+    """Return for each value what the ones before it, above it and diagonally above it predict; 0 beyond the border."""
+    left, above, corner = np.zeros_like(tile), np.zeros_like(tile), np.zeros_like(tile)
+    left[:, 1:], above[1:], corner[1:, 1:] = tile[:, :-1], tile[:-1], tile[:-1, :-1]
+    low, high = np.minimum(left, above), np.maximum(left, above)
+    return np.where(corner >= high, low, np.where(corner <= low, high, left + above - corner))
+
+
+def compress(data: bytes) -> str:
+    """Return bytes deflated (raw, without header) and in base64."""
+    packer = zlib.compressobj(9 if len(data) <= _THOROUGH else 6, zlib.DEFLATED, -15)
+    return base64.b64encode(packer.compress(data) + packer.flush()).decode("ascii")
