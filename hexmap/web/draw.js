@@ -1,0 +1,195 @@
+"use strict";
+// Cells by WebGL2: one rectangle, whose every pixel is quantised onto the lattice and looks its cell up in a texture.
+
+// The numbers of the lattice are written into the program: it is compiled once a level.
+function fragmentProgram(lattice) {
+  const vec = ([a, b]) => `vec2(${a.toFixed(1)}, ${b.toFixed(1)})`;
+  const { candidates, faces } = lattice.numbers;
+  return `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2DArray;
+precision highp usampler2D;
+const vec2 CANDIDATES[${candidates.length}] = vec2[](${candidates.map(vec).join(", ")});
+const vec2 FACES[${faces.length}] = vec2[](${faces.map(vec).join(", ")});
+uniform usampler2DArray states;
+uniform usampler2D tiles, entered;
+uniform mat2 basis, inverse;
+uniform vec2 middle, fraction, metresPerPixel;
+uniform ivec2 centre, tableLow, tableShape, enteredLow, enteredShape;
+uniform int shift, detail, enteredShift;
+uniform float outline, now;
+uniform vec3 paper, free, wall, edge, early, late;
+out vec4 colour;
+
+uint stateOf(ivec2 cell) {
+  ivec2 tile = (cell >> shift) - tableLow;
+  if (any(lessThan(tile, ivec2(0))) || any(greaterThanEqual(tile, tableShape))) return 0u;
+  uint layer = texelFetch(tiles, tile.yx, 0).r;
+  if (layer == 0u) return 0u;
+  ivec2 inside = (cell & ((1 << shift) - 1)) >> detail;
+  return texelFetch(states, ivec3(inside.yx, int(layer) - 1), detail).r;
+}
+
+float timeOf(ivec2 cell) {
+  ivec2 at = (cell - enteredLow) >> enteredShift;
+  if (any(lessThan(at, ivec2(0))) || any(greaterThanEqual(at, enteredShape))) return 0.0;
+  return float(texelFetch(entered, at.yx, 0).r) / 65535.0;
+}
+
+void main() {
+  // Coordinates relative to the cell at the view's centre: near it they are exact however far away the origin is.
+  vec2 u = fraction + inverse * ((gl_FragCoord.xy - middle) * metresPerPixel);
+  vec2 low = floor(u), rest = u - low, found = vec2(0.0), off = vec2(0.0);
+  float best = 1e30;
+  for (int k = 0; k < CANDIDATES.length(); k++) {
+    vec2 x = basis * (rest - CANDIDATES[k]);
+    float d = dot(x, x);
+    if (d < best) { best = d; found = CANDIDATES[k]; off = x; }
+  }
+  ivec2 cell = centre + ivec2(low) + ivec2(found);
+  uint state = stateOf(cell);
+  vec3 shade = state == 2u ? wall : state == 1u ? free : paper;
+  float time = timeOf(cell);
+  if (time > 0.0 && time <= now && state != 2u) shade = mix(shade, mix(early, late, time), 0.62);
+  if (outline > 0.0) {
+    float border = 1e30;
+    for (int k = 0; k < FACES.length(); k++) {
+      vec2 v = basis * FACES[k];
+      border = min(border, 0.5 * length(v) - dot(off, v) / length(v));
+    }
+    float line = 1.0 - smoothstep(0.4, 1.2, border / abs(metresPerPixel.x));
+    shade = mix(shade, edge, line * outline * (state == 0u ? 0.35 : 0.8));
+  }
+  colour = vec4(shade, 1.0);
+}`;
+}
+
+const VERTEX_PROGRAM = `#version 300 es
+void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
+
+class CellDrawing {
+  constructor(canvas) {
+    this.gl = canvas.getContext("webgl2", { alpha: false, antialias: false, powerPreference: "low-power" });
+    if (!this.gl) return;
+    this.canvas = canvas;
+    this.most = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
+    this.textures = {};
+  }
+
+  get works() {
+    return this.gl !== null;
+  }
+
+  compile(kind, source) {
+    const { gl } = this, shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader) ?? "no shader");
+    return shader;
+  }
+
+  // Show the cells of a level.
+  setLevel(lattice, cells) {
+    const { gl } = this;
+    if (this.program) gl.deleteProgram(this.program);
+    this.lattice = lattice;
+    this.cells = cells;
+    this.program = gl.createProgram();
+    gl.attachShader(this.program, this.compile(gl.VERTEX_SHADER, VERTEX_PROGRAM));
+    gl.attachShader(this.program, this.compile(gl.FRAGMENT_SHADER, fragmentProgram(lattice)));
+    gl.linkProgram(this.program);
+    if (!gl.getProgramParameter(this.program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(this.program));
+    this.places = new Map();
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    this.levels = cells.shift + 1;
+    this.texture("states", 0, gl.TEXTURE_2D_ARRAY);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, this.levels, gl.R8UI, cells.side, cells.side, cells.count);
+    let states = cells.states, side = cells.side;
+    for (let detail = 0; detail < this.levels; detail++) {
+      if (detail > 0) [states, side] = cells.halved(states, side);
+      gl.texSubImage3D(
+        gl.TEXTURE_2D_ARRAY, detail, 0, 0, 0, side, side, cells.count, gl.RED_INTEGER, gl.UNSIGNED_BYTE, states,
+      );
+    }
+    this.texture("tiles", 1, gl.TEXTURE_2D);
+    const [down, across] = cells.tableShape;
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R16UI, across, down, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, cells.table);
+    this.setEntered(null);
+  }
+
+  texture(name, unit, target) {
+    const { gl } = this;
+    if (this.textures[name]) gl.deleteTexture(this.textures[name]);
+    this.textures[name] = gl.createTexture();
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(target, this.textures[name]);
+    gl.texParameteri(target, gl.TEXTURE_MIN_FILTER, name === "states" ? gl.NEAREST_MIPMAP_NEAREST : gl.NEAREST);
+    gl.texParameteri(target, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.texParameteri(target, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(target, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  }
+
+  // Tint cells in the order in which a search entered them: pairs of indices, or null.
+  setEntered(pairs) {
+    const { gl } = this;
+    let low = [0, 0], high = [-1, -1];
+    if (pairs && pairs.length) {
+      low = [Infinity, Infinity];
+      high = [-Infinity, -Infinity];
+      for (let k = 0; k < pairs.length; k++) {
+        low[k % 2] = Math.min(low[k % 2], pairs[k]);
+        high[k % 2] = Math.max(high[k % 2], pairs[k]);
+      }
+    }
+    let shift = 0;
+    while (Math.max(high[0] - low[0], high[1] - low[1]) >> shift >= this.most) shift++;
+    const shape = [0, 1].map((k) => Math.max(1, ((high[k] - low[k]) >> shift) + 1));
+    const times = new Uint16Array(shape[0] * shape[1]), count = pairs ? pairs.length / 2 : 0;
+    for (let k = count - 1; k >= 0; k--) {
+      const at = ((pairs[2 * k] - low[0]) >> shift) * shape[1] + ((pairs[2 * k + 1] - low[1]) >> shift);
+      times[at] = 1 + Math.floor((65534 * k) / count);
+    }
+    this.entered = { low, shape: count ? shape : [0, 0], shift };
+    this.texture("entered", 2, gl.TEXTURE_2D);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R16UI, shape[1], shape[0], 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, times);
+  }
+
+  set(kind, name, ...values) {
+    if (!this.places.has(name)) this.places.set(name, this.gl.getUniformLocation(this.program, name));
+    this.gl[kind](this.places.get(name), ...values);
+  }
+
+  // Draw a view: its centre in metres, pixels of the screen a metre, and whether y grows upwards.
+  draw(view, ratio, colours, now) {
+    const { gl, canvas, lattice, cells } = this;
+    if (!this.program) return;
+    const metres = 1 / (view.scale * ratio), [u, v] = lattice.coordinates(view.x, view.y);
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.useProgram(this.program);
+    this.set("uniform1i", "states", 0);
+    this.set("uniform1i", "tiles", 1);
+    this.set("uniform1i", "entered", 2);
+    // Columns first.
+    this.set("uniformMatrix2fv", "basis", false, [lattice.p, lattice.r, lattice.q, lattice.s]);
+    this.set("uniformMatrix2fv", "inverse", false, [lattice.ip, lattice.ir, lattice.iq, lattice.is]);
+    this.set("uniform2f", "middle", canvas.width / 2, canvas.height / 2);
+    this.set("uniform2f", "metresPerPixel", metres, view.down ? -metres : metres);
+    this.set("uniform2i", "centre", Math.floor(u), Math.floor(v));
+    this.set("uniform2f", "fraction", u - Math.floor(u), v - Math.floor(v));
+    this.set("uniform1i", "shift", cells.shift);
+    this.set("uniform2i", "tableLow", ...cells.tableLow);
+    this.set("uniform2i", "tableShape", ...cells.tableShape);
+    this.set("uniform2i", "enteredLow", ...this.entered.low);
+    this.set("uniform2i", "enteredShape", ...this.entered.shape);
+    this.set("uniform1i", "enteredShift", this.entered.shift);
+    this.set("uniform1f", "now", now);
+    // Boxes as high as a pixel at least, so that each of them meets one.
+    const detail = Math.ceil(Math.log2(metres / lattice.height));
+    this.set("uniform1i", "detail", Math.max(0, Math.min(cells.shift, detail)));
+    const wide = lattice.resolution * view.scale;
+    this.set("uniform1f", "outline", Math.max(0, Math.min(1, (wide - 7) / 9)));
+    for (const [name, colour] of Object.entries(colours)) this.set("uniform3f", name, ...colour);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+}

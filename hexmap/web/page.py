@@ -1,0 +1,209 @@
+"""Write a map as one HTML file to look and plan in: it needs no other file, no network and no server.
+
+What the page looks like is in ``page.html.jinja`` and ``page.css``, what it does in the scripts beside this module.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hexmap.base.arrays import FloatArray
+from hexmap.base.atomic_files import atomic_write
+from hexmap.base.errors import ArgumentError
+from hexmap.base.version import __version__
+from hexmap.io.grids.grid_map import GridMap
+from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
+from hexmap.maps.map import Map
+from hexmap.maps.state_rule import StateRule, States
+from hexmap.maps.voxel_list import VoxelList
+from hexmap.poses.trajectory import Trajectory
+from hexmap.web.payload import PageLevel, PageMap, level_numbers, on_lattice, page_map, trajectory_runs
+
+__all__ = ["page_html", "planner_source", "write_page"]
+
+# The first three also run in a worker.
+_PLANNER = ("lattice.js", "planner.js", "sight.js", "worker.js")
+_PAGE = ("cells.js", "draw.js", "overlay.js", "page.js")
+_STILL = 60.0  # pixels an inch of the picture for browsers without WebGL 2
+_ROWS = {
+    "length": "Length",
+    "turning": "Turning",
+    "clearance": "Least clearance",
+    "expansions": "Cells entered",
+    "ms": "Search",
+}
+_MOVES = {"neighbours": "nearest", "faces": "across faces", "extended": "extended"}
+
+
+def write_page(
+    source: Map | GridMap,
+    path: str | os.PathLike[str],
+    *,
+    trajectory: Trajectory | FloatArray | None = None,
+    compare: str | Lattice | None = None,
+    rule: StateRule | None = None,
+    title: str | None = None,
+) -> Path:
+    """Write a page (``.html``) and return its path; the same arguments give the same bytes.
+
+    Args:
+        source: a map in the plane, of hexmap or of others.
+        path: of the file.
+        trajectory: where the robot went, in the map's frame: a trajectory or positions (N, 2) or (N, 3), metres; a row
+            that is not finite interrupts the line.
+        compare: a second lattice on which the same world is shown beside the first: its name, or the lattice of the
+            finest level.
+        rule: what makes a cell occupied or free; the default rule where none is given.
+        title: what the page is called; the file's name where there is none.
+
+    Raises:
+        ArgumentError: another suffix, a map in space or without known cells, a trajectory of another shape.
+        LatticeError: there is no lattice of that name.
+        TooLargeError: the cells are spread too widely for a browser.
+        FileAccessError: the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ArgumentError(f"{path}: a page is written as .html, not {path.suffix or 'a file without a suffix'}")
+    html = page_html(source, trajectory=trajectory, compare=compare, rule=rule, title=title or path.stem)
+    with atomic_write(path) as file:
+        file.write(html.encode("utf-8"))
+    return path
+
+
+def page_html(
+    source: Map | GridMap,
+    *,
+    trajectory: Trajectory | FloatArray | None = None,
+    compare: str | Lattice | None = None,
+    rule: StateRule | None = None,
+    title: str = "Map",
+) -> str:
+    """Return the page as text, for a file or for the ``srcdoc`` of a frame; see :func:`write_page`."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    first = page_map(source, rule)
+    maps = [first] if compare is None else [first, on_lattice(first, compare)]
+    numbers, data = _numbers(maps)
+    header = {
+        "bounds": _bounds(maps),
+        "yDown": first.y_down,
+        "trajectory": trajectory_runs(trajectory, first.levels[0].lattice.resolution),
+        "maps": numbers,
+    }
+    planner, script = planner_source(), _sources(_PAGE)
+    style = _sources(("page.css",))
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    text = (resources.files("hexmap.web") / "page.html.jinja").read_text(encoding="utf-8")
+    return environment.from_string(text).render(
+        title=title,
+        version=__version__,
+        summary=_summary(first, source),
+        maps=[{"title": m.title, "label": f"{m.title}, {m.levels[0].lattice.resolution:.4g} m"} for m in maps],
+        level_names=[f"{level.lattice.resolution:.4g} m" for level in first.levels],
+        neighbourhoods=_neighbourhood_words(numbers),
+        rows=_ROWS,
+        stills=[_still(m) for m in maps],
+        header=Markup(_json(header)),
+        data=data,
+        planner=Markup(planner),
+        script=Markup(script),
+        style=Markup(style),
+        hashes=[Markup(_hash(planner)), Markup(_hash(script))],
+        style_hash=Markup(_hash(style)),
+    )
+
+
+def planner_source() -> str:
+    """Return the script that plans, as the page's worker runs it; by itself it also runs in Node."""
+    return _sources(_PLANNER)
+
+
+def _sources(names: Sequence[str]) -> str:
+    folder = resources.files("hexmap.web")
+    return "\n" + "\n".join((folder / name).read_text(encoding="utf-8") for name in names)
+
+
+def _hash(text: str) -> str:
+    """Return what a content security policy calls a script or a style of this text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
+
+
+def _json(value: Any) -> str:
+    """Return JSON that cannot end the element that it stands in."""
+    text = json.dumps(value, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _numbers(maps: Sequence[PageMap]) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """Return the maps as plain numbers, and the text of each level's cells by the id of its element."""
+    numbers, data = [], {}
+    for m, page in enumerate(maps):
+        levels = []
+        for k, level in enumerate(page.levels):
+            values, data[f"cells-{m}-{k}"] = level_numbers(level, page.rule)
+            levels.append(values)
+        numbers.append({"title": page.title, "rule": asdict(page.rule), "levels": levels})
+    return numbers, data
+
+
+def _bounds(maps: Sequence[PageMap]) -> list[float]:
+    """Return left, low, right and high border of all cells of the finest levels, metres."""
+    low, high = [], []
+    for page in maps:
+        level = page.levels[0]
+        centres = level.lattice.centres(level.index) + level.origin
+        low.append(centres.min(axis=0) - level.lattice.covering_radius)
+        high.append(centres.max(axis=0) + level.lattice.covering_radius)
+    return [*(min(v) for v in zip(*low, strict=True)), *(max(v) for v in zip(*high, strict=True))]
+
+
+def _summary(page: PageMap, source: Map | GridMap) -> str:
+    level = page.levels[0]
+    states = level.states_by(page.rule)
+    occupied, free = (int((states == s.value).sum()) for s in (CellState.OCCUPIED, CellState.FREE))
+    frame = f", frame {source.frame}" if isinstance(source, Map) else f", {source.kind}"
+    return f"{occupied:,} occupied and {free:,} free cells of {level.lattice.resolution:.4g} m{frame}"
+
+
+def _neighbourhood_words(numbers: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Return the neighbourhoods that every map has, and how many moves each of them has there."""
+    counts = [{n["name"]: len(n["moves"]) for n in m["levels"][0]["neighbourhoods"]} for m in numbers]
+    return {
+        name: f"{_MOVES[name]}: {' and '.join(str(count[name]) for count in counts)}"
+        for name in counts[0]
+        if all(name in count for count in counts)
+    }
+
+
+def _still(page: PageMap) -> str:
+    """Return the picture of the finest level, PNG in base64."""
+    from hexmap.drawing.map_drawing import draw_states
+
+    level = page.levels[0]
+    with tempfile.TemporaryDirectory() as folder:
+        path = draw_states(_states(level, page.rule), Path(folder) / "map.png", dpi=_STILL)
+        return base64.b64encode(path.read_bytes()).decode("ascii")
+
+
+def _states(level: PageLevel, rule: StateRule) -> States:
+    """Return a level as the drawing takes it, the cell 0 at the origin."""
+    states = level.states_by(rule)
+    occupied, free = (states == s.value for s in (CellState.OCCUPIED, CellState.FREE))
+    counts = level.hits, level.passes
+    lists = [
+        VoxelList.from_cells(level.index[which], level.lattice, None if of is None else of[which])
+        for which, of in zip((occupied, free), counts, strict=True)
+    ]
+    return States(*lists)
