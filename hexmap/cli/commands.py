@@ -12,7 +12,7 @@ import typer
 
 from hexmap.base.errors import ArgumentError, HexmapError, LatticeError
 from hexmap.base.text import printable
-from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, showing, viewing
+from hexmap.cli import benchmark, build, experiments, localisation_experiment, localise, mapping, page, showing, viewing
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
 
@@ -41,6 +41,7 @@ app.command()(mapping.evaluate)
 app.command()(viewing.info)
 app.command()(viewing.lattices)
 app.command()(showing.show)
+app.command()(page.page)
 app.command()(viewing.export)
 app.command(cls=PlanCommand)(planning.plan)
 experiments.app.command()(localisation_experiment.localisation)

@@ -160,8 +160,13 @@ class CellDrawing {
     this.gl[kind](this.places.get(name), ...values);
   }
 
-  // Draw a view: its centre in metres, pixels of the screen a metre, and whether y grows upwards.
-  draw(view, ratio, colours, now) {
+  // The level of detail of a view, whose boxes are as high as a pixel at least, so that each of them meets one.
+  detailFor(view, ratio) {
+    return Math.max(0, Math.min(this.cells.shift, Math.ceil(-Math.log2(view.scale * ratio * this.lattice.height))));
+  }
+
+  // Draw a view: its centre in metres, pixels of the screen a metre, and whether y grows downwards.
+  draw(view, ratio, detail, colours, now) {
     const { gl, canvas, lattice, cells } = this;
     if (!this.program) return;
     const metres = 1 / (view.scale * ratio), [u, v] = lattice.coordinates(view.x, view.y);
@@ -184,9 +189,7 @@ class CellDrawing {
     this.set("uniform2i", "enteredShape", ...this.entered.shape);
     this.set("uniform1i", "enteredShift", this.entered.shift);
     this.set("uniform1f", "now", now);
-    // Boxes as high as a pixel at least, so that each of them meets one.
-    const detail = Math.ceil(Math.log2(metres / lattice.height));
-    this.set("uniform1i", "detail", Math.max(0, Math.min(cells.shift, detail)));
+    this.set("uniform1i", "detail", Math.min(cells.shift, detail));
     const wide = lattice.resolution * view.scale;
     this.set("uniform1f", "outline", Math.max(0, Math.min(1, (wide - 7) / 9)));
     for (const [name, colour] of Object.entries(colours)) this.set("uniform3f", name, ...colour);

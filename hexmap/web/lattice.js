@@ -110,6 +110,13 @@ class Window {
     return [i + this.low[0], flat - i * this.stride + this.low[1]];
   }
 
+  // Room for searches, given back clean; pages of memory that no search touches cost nothing.
+  get scratch() {
+    const { size } = this;
+    this._scratch ??= { g: new Float64Array(size), parent: new Int32Array(size), mark: new Uint8Array(size) };
+    return this._scratch;
+  }
+
   // Copy square tiles of states into the window's own array.
   fill(side, corners, tiles) {
     const states = new Uint8Array(this.size);

@@ -10,7 +10,7 @@ const trajectory = header.trajectory.map((run) => {
   for (let k = 0, x = 0, y = 0; k < run.length; k += 2) points.push([(x += run[k]) / 1000, (y += run[k + 1]) / 1000]);
   return points;
 });
-let level = 0, ticket = 0, pointer = null, frame = 0, playing = 0;
+let ticket = 0, pointer = null, frame = 0, playing = 0;
 
 // ---------------------------------------------------------------------- colours
 
@@ -47,7 +47,7 @@ class Pane {
     this.lattice = new Lattice(numbers);
     this.cells = this.loaded.get(k);
     if (this.drawing.works) this.drawing.setLevel(this.lattice, this.cells);
-    worker.postMessage({ kind: "level", name: this.name, numbers, tiles: this.cells.states });
+    worker.postMessage({ kind: "level", name: this.name, numbers, tiles: this.cells.states, settings: settings() });
   }
 
   // Pixels of the screen from metres, and back; (0, 0) is the pane's upper left corner.
@@ -72,7 +72,9 @@ class Pane {
   draw() {
     const ratio = devicePixelRatio || 1;
     if (!this.cells) return;
-    if (this.drawing.works) this.drawing.draw(view, ratio, colours.cells, Number($("time").value) / 1000);
+    // Lattices of one resolution are shown in the same detail, lest one looks coarser than the other.
+    const detail = Math.max(...panes.map((pane) => (pane.drawing.cells ? pane.drawing.detailFor(view, ratio) : 0)));
+    if (this.drawing.works) this.drawing.draw(view, ratio, detail, colours.cells, Number($("time").value) / 1000);
     const point = pointer ?? (this.lines.matches(":focus-visible") ? [view.x, view.y] : null);
     const hovered = point && this.lattice.quantise(...point);
     this.overlay.draw(view, ratio, (x, y) => this.toPixels(x, y), colours.lines, {
@@ -173,8 +175,8 @@ function plan() {
   $("weight-shown").textContent = $("weight").value;
   for (const role of ["start", "goal"]) {
     if (document.activeElement !== $(`${role}-x`) && document.activeElement !== $(`${role}-y`)) {
-      $(`${role}-x`).value = ends[role] ? ends[role][0].toFixed(3) : "";
-      $(`${role}-y`).value = ends[role] ? ends[role][1].toFixed(3) : "";
+      $(`${role}-x`).value = ends[role] ? ends[role][0].toFixed(2) : "";
+      $(`${role}-y`).value = ends[role] ? ends[role][1].toFixed(2) : "";
     }
   }
   if (ends.start && ends.goal) panes.forEach((pane) => pane.ask({ ticket, ...settings() }));
@@ -336,7 +338,6 @@ function listenToPanel() {
 // ---------------------------------------------------------------------- the beginning
 
 async function showLevel(k) {
-  level = k;
   await Promise.all(panes.map((pane) => (pane.clear(), pane.show(k))));
   plan();
 }

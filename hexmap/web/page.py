@@ -94,7 +94,7 @@ def page_html(
     from markupsafe import Markup
 
     first = page_map(source, rule)
-    maps = [first] if compare is None else [first, on_lattice(first, compare)]
+    maps = [first] if compare is None else [first, on_lattice(source, first, compare)]
     numbers, data = _numbers(maps)
     header = {
         "bounds": _bounds(maps),

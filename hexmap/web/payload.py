@@ -108,14 +108,16 @@ def _level_of_grid(grid: GridMap) -> PageLevel:
     return PageLevel(squares, (x, y), index, states=states)
 
 
-def on_lattice(world: PageMap, lattice: str | Lattice) -> PageMap:
-    """Return the same world on another lattice: each of its cells is what the map has at its centre.
+def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) -> PageMap:
+    """Return the same world on another lattice, at the resolution of each level.
 
-    So ``hexmap plan --lattice`` puts a map onto another lattice, at the resolution of the level.
+    A cell of it is what a map of hexmap has at its centre, as ``hexmap plan --lattice`` has it. A map of others is put
+    on the lattice as :meth:`~hexmap.io.grids.GridMap.to_states` does it, so that walls of one square have no gaps.
 
     Args:
-        world: the map.
-        lattice: a name, taken at each level's resolution, or a lattice for the finest level, of which the others double.
+        source: the map.
+        world: what :func:`page_map` returned of it.
+        lattice: a name, taken at each level's resolution, or the lattice of the finest level, which the others double.
 
     Raises:
         LatticeError: there is no lattice of that name.
@@ -126,8 +128,17 @@ def on_lattice(world: PageMap, lattice: str | Lattice) -> PageMap:
         on = Lattice.named(lattice, level.lattice.resolution) if isinstance(lattice, str) else lattice.scaled(2.0**k)
         if on.dim != 2:
             raise ArgumentError(f"the map is in the plane, and {on.name} is a lattice of space")
-        levels.append(_resampled(level, on))
+        levels.append(_rasterised(source, on) if isinstance(source, GridMap) else _resampled(level, on))
     return PageMap(levels[0].lattice.title, tuple(levels), world.rule, world.y_down)
+
+
+def _rasterised(grid: GridMap, on: Lattice) -> PageLevel:
+    """Return the known cells of a map of others on a lattice."""
+    states = grid.to_states(on)
+    keys = np.concatenate([states.occupied.keys, states.free.keys])
+    values = np.repeat([CellState.OCCUPIED.value, CellState.FREE.value], [len(states.occupied), len(states.free)])
+    order = np.argsort(keys)
+    return PageLevel(on, (0.0, 0.0), unpack(keys[order], 2), states=values[order].astype(np.uint8))
 
 
 def _resampled(level: PageLevel, on: Lattice) -> PageLevel:
@@ -254,21 +265,18 @@ def trajectory_runs(trajectory: Trajectory | ArrayLike | None, resolution: float
     if given.ndim != 2 or given.shape[1] not in (2, 3):
         raise ArgumentError(f"a trajectory is positions (N, 2) or (N, 3), not {given.shape}")
     runs: list[list[int]] = []
-    last: tuple[float, float] | None = None
+    last: tuple[int, int] | None = None
     rows = given[:, :2].tolist()
     for k, (x, y) in enumerate(rows):
         if not (math.isfinite(x) and math.isfinite(y)):
             last = None
             continue
-        ends = k + 1 == len(rows)
-        if last is not None and not ends and math.dist(last, (x, y)) < _STEP * resolution:
-            continue
         point = round(x / _GRAIN), round(y / _GRAIN)
         if last is None:
-            runs.append([*point])
-            before = point
-        else:
-            runs[-1] += [point[0] - before[0], point[1] - before[1]]
-            before = point
-        last = (x, y)
+            runs.append([])
+        elif k + 1 < len(rows) and math.dist(last, point) * _GRAIN < _STEP * resolution:
+            continue
+        start = last or (0, 0)
+        runs[-1] += [point[0] - start[0], point[1] - start[1]]
+        last = point
     return runs

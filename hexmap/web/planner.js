@@ -13,11 +13,15 @@ const TOUCH = 2e-9; // of the cell's width, by which it is taken larger for line
 // ---------------------------------------------------------------------- the graph
 
 class Graph {
-  // states: (size) 0 unknown, 1 free, 2 occupied, laid out as the window says.
-  constructor(window, states) {
+  // states: (size) 0 unknown, 1 free, 2 occupied, laid out as the window says; known: a graph of the same states, for
+  // what it has found out.
+  constructor(window, states, known = null) {
+    this._surface = known?._surface;
+    this._blocks = known?._blocks;
     this.window = window;
     this.states = states;
-    this.free = Uint8Array.from(states, (s) => (s === 1 ? 1 : 0));
+    this.free = new Uint8Array(states.length);
+    for (let at = 0; at < states.length; at++) this.free[at] = states[at] & 1; // 1 is free, 2 occupied
     this.terrain = null;
     this.least = 1;
     this.most = 1;
@@ -26,7 +30,7 @@ class Graph {
   // The occupied cells that have a face to one that is not: only they can be the nearest one of all.
   get surface() {
     if (this._surface) return this._surface;
-    const { states } = this, { faces, shape, pad, stride } = this.window, found = [];
+    const { states } = this, { faces, shape, pad, stride } = this.window, found = new Listing();
     for (let i = pad[0]; i < shape[0] - pad[0]; i++) {
       for (let at = i * stride + pad[1]; at < (i + 1) * stride - pad[1]; at++) {
         if (states[at] !== 2) continue;
@@ -35,7 +39,7 @@ class Graph {
         if (!buried) found.push(at);
       }
     }
-    return (this._surface = Int32Array.from(found));
+    return (this._surface = found.done());
   }
 
   // The offsets within a distance of a cell, row by row: [a, b, distance of the centre to the cell].
@@ -100,13 +104,6 @@ class Graph {
     return this;
   }
 
-  // Room for searches, given back clean: pages that are not touched cost nothing.
-  get scratch() {
-    const size = this.window.size;
-    this._scratch ??= { g: new Float64Array(size), parent: new Int32Array(size), mark: new Uint8Array(size) };
-    return this._scratch;
-  }
-
   // The least distance, metres, from the centres of flat cells to an occupied cell; Infinity where there is none.
   clearance(cells) {
     const { window } = this, { lattice } = window, side = 16;
@@ -120,20 +117,23 @@ class Graph {
   }
 }
 
-// Flat cells by blocks of side x side of them.
+// Flat cells by blocks of side x side of them: those of block k are listed from starts[k] to starts[k + 1].
 function blocksOf(cells, window, side) {
-  const blocks = new Map(), across = Math.ceil(window.shape[1] / side);
-  for (const at of cells) {
-    const i = Math.floor(at / window.stride), j = at - i * window.stride;
-    const key = Math.floor(i / side) * across + Math.floor(j / side);
-    if (!blocks.has(key)) blocks.set(key, []);
-    blocks.get(key).push(i, j);
-  }
-  return { blocks, across, down: Math.ceil(window.shape[0] / side) };
+  const across = Math.ceil(window.shape[1] / side), down = Math.ceil(window.shape[0] / side);
+  const starts = new Int32Array(across * down + 1), listed = new Int32Array(cells.length), { stride } = window;
+  const blockOf = (at) => {
+    const i = Math.floor(at / stride);
+    return Math.floor(i / side) * across + Math.floor((at - i * stride) / side);
+  };
+  for (let k = 0; k < cells.length; k++) starts[blockOf(cells[k]) + 1]++;
+  for (let k = 0; k < across * down; k++) starts[k + 1] += starts[k];
+  const next = starts.slice();
+  for (let k = 0; k < cells.length; k++) listed[next[blockOf(cells[k])]++] = cells[k];
+  return { starts, listed, across, down };
 }
 
 // The distance from the cell (i, j) of the window to the nearest cell in blocks, or one of at least "best".
-function nearestBody({ blocks, across, down }, window, lattice, side, i, j, best) {
+function nearestBody({ starts, listed, across, down }, window, lattice, side, i, j, best) {
   const bi = Math.floor(i / side), bj = Math.floor(j / side), covering = lattice.numbers.covering;
   for (let ring = 0; ring <= Math.max(across, down); ring++) {
     if (((ring - 1) * side + 1) * lattice.height - covering >= best) break;
@@ -141,10 +141,9 @@ function nearestBody({ blocks, across, down }, window, lattice, side, i, j, best
       if (u < 0 || u >= down) continue;
       const step = Math.abs(u - bi) === ring ? 1 : Math.max(1, 2 * ring);
       for (let v = bj - ring; v <= bj + ring; v += step) {
-        const listed = v >= 0 && v < across ? blocks.get(u * across + v) : undefined;
-        if (listed === undefined) continue;
-        for (let k = 0; k < listed.length; k += 2) {
-          const a = i - listed[k], b = j - listed[k + 1];
+        if (v < 0 || v >= across) continue;
+        for (let k = starts[u * across + v]; k < starts[u * across + v + 1]; k++) {
+          const row = Math.floor(listed[k] / window.stride), a = i - row, b = j - (listed[k] - row * window.stride);
           const x = lattice.p * a + lattice.q * b, y = lattice.r * a + lattice.s * b;
           const limit = best + covering;
           if (x * x + y * y < limit * limit) best = Math.min(best, lattice.distanceToCell(x, y));
@@ -312,7 +311,7 @@ function astar(graph, start, goal) {
   const scale = KEY_STEPS / (shortest * graph.least);
   const span = Math.max(...lengths) * graph.most * 2 * scale;
   const open = new OpenList(Math.max(KEY_STEPS / BUCKETS_A_MOVE, span / MOST_BUCKETS), span);
-  const { g, mark } = graph.scratch, touched = new Listing(), entered = new Listing();
+  const { g, mark } = window.scratch, touched = new Listing(), entered = new Listing();
   const measure = (at) => {
     const i = Math.floor(at / stride), j = at - i * stride;
     let most = 0;

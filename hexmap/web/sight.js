@@ -75,7 +75,7 @@ function anyAngle(graph, start, goal) {
 // is opened again where a shorter way to it turns up. There is a path.
 function theta(graph, sight, start, goal, limit) {
   const { free, window } = graph, { offsets, lengths, swept, sweptStarts } = window;
-  const { g, parent, mark } = graph.scratch, touched = new Listing(), entered = new Listing();
+  const { g, parent, mark } = window.scratch, touched = new Listing(), entered = new Listing();
   const shortest = Math.min(...window.lengths), scale = KEY_STEPS / shortest;
   let weight = 1, stage = 0, most = limit;
   const key = (at, cost) => Math.floor((cost + weight * sight.distance(at, goal)) * scale + 0.5);

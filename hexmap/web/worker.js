@@ -16,7 +16,8 @@ function graphFor(map, { neighbourhood, radius, weight }) {
       map.windowOf = neighbourhood;
     }
     const reach = Math.max(0.5, 2 * lattice.resolution);
-    map.graph = new Graph(map.window, map.states).withRadius(radius).withWeight(weight, reach);
+    const surface = map.graph?.window === map.window ? map.graph : null;
+    map.graph = new Graph(map.window, map.states, surface).withRadius(radius).withWeight(weight, reach);
     map.key = key;
   }
   return map.graph;
@@ -65,10 +66,20 @@ function measure(points) {
   return { length, turning };
 }
 
+function warmUp(map, settings) {
+  try {
+    graphFor(map, settings).clearance([]);
+  } catch (error) {
+    if (!(error instanceof RangeError)) throw error;
+  }
+}
+
 function serve(message) {
   const { kind, name } = message;
   if (kind === "level") {
     maps.set(name, { numbers: message.numbers, tiles: message.tiles, lattice: new Lattice(message.numbers) });
+    // While nobody waits: the first path should not take longer than the others.
+    if (message.settings) warmUp(maps.get(name), message.settings);
     return null;
   }
   try {
