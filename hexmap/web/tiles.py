@@ -18,7 +18,7 @@ from hexmap.base.errors import BoundsError, TooLargeError
 
 __all__ = ["MOST_COUNT", "Tiles", "compress", "encode"]
 
-MOST_COUNT = 2**53 - 1  # beyond, a browser's numbers have gaps
+MOST_COUNT = 2**52 - 1  # beyond, twice a count falls into the gaps of a browser's numbers
 _LAYERS = 256  # of a texture array, that every device with WebGL2 has
 _SIDES = (512, 1024, 2048)  # 2048 is what every such device has, also for tiles along each index
 _THOROUGH = 1 << 26  # bytes up to which the best compression takes seconds only
@@ -60,17 +60,6 @@ class Tiles:
         return out.reshape(len(self.corners), self.side, self.side)
 
 
-def bytes_of(largest: int) -> int:
-    """Return how many bytes a count takes.
-
-    Raises:
-        BoundsError: more than the 53 bits that a browser's numbers have.
-    """
-    if largest > MOST_COUNT:
-        raise BoundsError(f"a page holds counts up to {MOST_COUNT}, not {largest}")
-    return max(1, (int(largest).bit_length() + 7) // 8)
-
-
 def encode(tiles: Tiles, values: NDArray[np.integer[Any]], predicted: bool) -> tuple[bytes, int]:
     """Return the byte planes of ``values`` (M,), as yet uncompressed, and how many planes there are.
 
@@ -78,10 +67,15 @@ def encode(tiles: Tiles, values: NDArray[np.integer[Any]], predicted: bool) -> t
         tiles: where the values belong.
         values: counts of 0 or more.
         predicted: write differences to what three neighbours predict, 2 d or -2 d - 1 for negative ones.
+
+    Raises:
+        BoundsError: a count is too large for a browser's numbers.
     """
     largest = int(values.max(initial=0))
+    if largest > MOST_COUNT:
+        raise BoundsError(f"a page holds counts up to {MOST_COUNT}, not {largest}")
     # A difference has a sign, which takes one bit more.
-    planes = bytes_of(2 * largest + 1 if predicted else largest)
+    planes = max(1, (largest.bit_length() + predicted + 7) // 8)
     narrow = values.astype(np.int32 if 2 * largest < 2**31 - 2 else np.int64)
     dense = tiles.dense(narrow)
     if predicted:

@@ -26,7 +26,8 @@ pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node (node), which i
 
 SHEARED = Lattice([[1.0, 3.0], [0.0, 1.0]], "sheared squares")
 LATTICES = [*(case.lattice for case in PLANAR), SHEARED]
-QUERIES = 10_000 if LONG else 60
+QUERIES = 1_700 if LONG else 40  # of each of three robots and two neighbourhoods: 10^4 a lattice
+LOOKED_AT = 40  # of them cell by cell
 SHAPE = (56, 64)
 LOW = np.array([-20, -31])
 
@@ -44,7 +45,9 @@ def world(lattice: Lattice) -> tuple[np.ndarray, Map]:
     return states, Map([Level(*lists)])
 
 
-def in_node(lattice: Lattice, states: np.ndarray, name: str, settings: list[dict[str, Any]], queries: Any) -> Any:
+def in_node(
+    folder: Path, lattice: Lattice, states: np.ndarray, name: str, settings: list[dict[str, Any]], queries: Any
+) -> Any:
     """Return what the page's planner answers: a list for each setting."""
     numbers = lattice_numbers(lattice) | {"origin": [0.0, 0.0]}
     given = {
@@ -56,13 +59,10 @@ def in_node(lattice: Lattice, states: np.ndarray, name: str, settings: list[dict
         "settings": settings,
         "queries": queries,
     }
-    script = planner_source() + (Path(__file__).parent / "plan_many.js").read_text()
+    script = folder / "plan.js"
+    script.write_text(planner_source() + (Path(__file__).parent / "plan_many.js").read_text())
     assert NODE is not None
-    # The script is too long for a command line, and standard input is taken by the questions.
-    run = subprocess.run(
-        [NODE, "-e", "require('vm').runInThisContext(process.env.SCRIPT)", "--", "x"],
-        input=json.dumps(given), capture_output=True, text=True, check=True, env={"SCRIPT": script},
-    )  # fmt: skip
+    run = subprocess.run([NODE, script], input=json.dumps(given), capture_output=True, text=True, check=True)
     return json.loads(run.stdout)
 
 
@@ -76,7 +76,7 @@ def answer_of(plan: Any, graph: LatticeGraph, start: list[int], goal: list[int])
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=lambda lattice: lattice.name)
 @pytest.mark.parametrize("name", ["neighbours", "extended"])
-def test_costs_are_those_of_the_library(lattice: Lattice, name: str) -> None:
+def test_costs_are_those_of_the_library(tmp_path: Path, lattice: Lattice, name: str) -> None:
     states, map_ = world(lattice)
     r = lattice.resolution
     settings = [
@@ -87,20 +87,22 @@ def test_costs_are_those_of_the_library(lattice: Lattice, name: str) -> None:
     rng = np.random.default_rng(11)
     known = np.argwhere(states > 0) + LOW
     queries = [[known[i].tolist(), known[j].tolist()] for i, j in rng.integers(0, len(known), (QUERIES, 2))]
-    answers = in_node(lattice, states, name, settings, queries)
+    answers = in_node(tmp_path, lattice, states, name, settings, queries)
     plain = LatticeGraph.from_map(map_, neighbourhood=len(getattr(lattice, name)))
     found = 0
     for setting, replies in zip(settings, answers, strict=True):
         graph = plain.with_clearance(setting["radius"], to="cell")
         if setting["weight"]:
             graph = graph.with_soft_clearance(setting["reach"], setting["weight"], to="cell")
-        for (start, goal), reply in zip(queries, replies, strict=True):
+        for k, ((start, goal), reply) in enumerate(zip(queries, replies, strict=True)):
             path = answer_of(planners.astar, graph, start, goal)
             if isinstance(path, str):
                 assert reply == ({"cost": None} if path == "not connected" else {"blocked": True})
                 continue
             found += 1
             assert reply["cost"] == pytest.approx(path.cost, rel=1e-12, abs=1e-12)
+            if k >= LOOKED_AT:
+                continue
             cells = np.array(reply["cells"])
             assert cells[0].tolist() == start and cells[-1].tolist() == goal
             if len(cells) > 1:
@@ -111,15 +113,14 @@ def test_costs_are_those_of_the_library(lattice: Lattice, name: str) -> None:
 
 
 @pytest.mark.parametrize("lattice", LATTICES, ids=lambda lattice: lattice.name)
-def test_any_angle_paths_are_free_and_no_longer_than_those_of_moves(lattice: Lattice) -> None:
+def test_any_angle_paths_are_free_and_no_longer_than_those_of_moves(tmp_path: Path, lattice: Lattice) -> None:
     states, map_ = world(lattice)
     rng = np.random.default_rng(13)
     known = np.argwhere(states == 1) + LOW
-    count = max(30, QUERIES // 20)
+    count = max(30, QUERIES // 10)
     queries = [[known[i].tolist(), known[j].tolist()] for i, j in rng.integers(0, len(known), (count, 2))]
-    (replies,) = in_node(
-        lattice, states, "neighbours", [{"radius": 0.0, "weight": 0.0, "reach": 1.0, "anyAngle": True}], queries
-    )
+    setting = {"radius": 0.0, "weight": 0.0, "reach": 1.0, "anyAngle": True}
+    (replies,) = in_node(tmp_path, lattice, states, "neighbours", [setting], queries)
     graph = LatticeGraph.from_map(map_)
     mine = theirs = 0.0
     for (start, goal), reply in zip(queries, replies, strict=True):
