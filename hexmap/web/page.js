@@ -75,7 +75,8 @@ class Pane {
     // Lattices of one resolution are shown in the same detail, lest one looks coarser than the other.
     const detail = Math.max(...panes.map((pane) => (pane.drawing.cells ? pane.drawing.detailFor(view, ratio) : 0)));
     if (this.drawing.works) this.drawing.draw(view, ratio, detail, colours.cells, Number($("time").value) / 1000);
-    const point = pointer ?? (this.lines.matches(":focus-visible") ? [view.x, view.y] : null);
+    // Where the pointer is on the screen stays when the view moves.
+    const point = pointer?.pane.toMetres(...pointer.at) ?? (this.lines.matches(":focus-visible") ? [view.x, view.y] : null);
     const hovered = point && this.lattice.quantise(...point);
     this.overlay.draw(view, ratio, (x, y) => this.toPixels(x, y), colours.lines, {
       trajectory, hovered, lattice: this.lattice, path: this.path, ...this.shownEnds(),
@@ -262,14 +263,14 @@ function listen(pane) {
   });
   lines.addEventListener("pointermove", (event) => {
     const [u, v] = place_(event), before = down.get(event.pointerId);
-    pointer = pane.toMetres(u, v);
+    pointer = { pane, at: [u, v] };
     if (!before) {
       lines.style.cursor = near(u, v, 14) ? "grab" : "crosshair";
       return invalidate();
     }
     down.set(event.pointerId, [u, v]);
     moved += Math.hypot(u - before[0], v - before[1]);
-    if (dragged && moved > 3) place(pointer, dragged);
+    if (dragged && moved > 3) place(pane.toMetres(u, v), dragged);
     else if (down.size === 1 && moved > 4) pan(u - before[0], v - before[1]);
     else if (down.size === 2) {
       const [[a, b], [c, d]] = [...down.values()], wide = Math.hypot(a - c, b - d);

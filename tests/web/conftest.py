@@ -12,6 +12,8 @@ import pytest
 # Without a graphics card: Chromium then computes the pictures itself.
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 
+_OWN = ("file:", "data:", "blob:", "about:")
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
@@ -38,7 +40,7 @@ def opened(browser: Any) -> Iterator[Callable[..., Any]]:
         page = context.new_page()
         page.on("console", lambda message: said.append(message.text))
         page.on("pageerror", lambda error: said.append(str(error)))
-        page.on("request", lambda request: None if request.url.startswith(("file:", "data:", "blob:")) else said.append(request.url))
+        page.on("request", lambda request: said.extend([] if request.url.startswith(_OWN) else [request.url]))
         page.goto(f"file://{path}")
         until(page, "document.documentElement.dataset.state === 'ready'")
         return page
