@@ -4,13 +4,13 @@
 // The numbers of the lattice are written into the program: it is compiled once a level.
 function fragmentProgram(lattice) {
   const vec = ([a, b]) => `vec2(${a.toFixed(1)}, ${b.toFixed(1)})`;
-  const { candidates, faces } = lattice.numbers;
+  const { drawn, faces } = lattice.numbers;
   return `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2DArray;
 precision highp usampler2D;
-const vec2 CANDIDATES[${candidates.length}] = vec2[](${candidates.map(vec).join(", ")});
+const vec2 CANDIDATES[${drawn.length}] = vec2[](${drawn.map(vec).join(", ")});
 const vec2 FACES[${faces.length}] = vec2[](${faces.map(vec).join(", ")});
 uniform usampler2DArray states;
 uniform usampler2D tiles, entered;

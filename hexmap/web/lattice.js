@@ -110,6 +110,17 @@ class Window {
     return [i + this.low[0], flat - i * this.stride + this.low[1]];
   }
 
+  // The indices of flat positions, a and b in turn.
+  indices(flats) {
+    const out = new Int32Array(2 * flats.length), { stride } = this, [a, b] = this.low;
+    for (let k = 0; k < flats.length; k++) {
+      const i = Math.floor(flats[k] / stride);
+      out[2 * k] = i + a;
+      out[2 * k + 1] = flats[k] - i * stride + b;
+    }
+    return out;
+  }
+
   // Room for searches, given back clean; pages of memory that no search touches cost nothing.
   get scratch() {
     const { size } = this;

@@ -201,16 +201,18 @@ def lattice_numbers(lattice: Lattice) -> dict[str, Any]:
         "inradius": lattice.inradius,
         "covering": lattice.covering_radius,
         "candidates": candidates(lattice).tolist(),
+        "drawn": candidates(lattice, touching=False).tolist(),
         "vertices": lattice.cell.vertices.tolist(),
         "faces": lattice.faces.tolist(),
         "neighbourhoods": [neighbourhood_numbers(lattice, name) for name in _neighbourhoods(lattice)],
     }
 
 
-def candidates(lattice: Lattice) -> NDArray[np.int64]:
+def candidates(lattice: Lattice, touching: bool = True) -> NDArray[np.int64]:
     """Return the offsets (K, 2), lexicographically, whose closed cell meets the unit parallelogram of the basis.
 
     The nearest lattice point to a point x is floor(B^-1 x) plus one of them, whether the basis is reduced or not.
+    Without those that are only ``touching`` it the nearest is still among them, but not every one of several.
     """
     # A cell reaches as far along the indices as its corners do.
     corners = lattice.cell.vertices @ np.linalg.inv(lattice.basis).T
@@ -224,7 +226,7 @@ def candidates(lattice: Lattice) -> NDArray[np.int64]:
     for offset in box.cells():
         mine, theirs = (corners + offset) @ axes.T, unit @ axes.T
         gap = np.maximum(mine.min(axis=0) - theirs.max(axis=0), theirs.min(axis=0) - mine.max(axis=0))
-        if gap.max() <= 1e-9:
+        if gap.max() <= (1e-9 if touching else -1e-9):
             kept.append(offset)
     return np.array(kept)
 

@@ -40,8 +40,7 @@ function answer(map, question) {
   const started = performance.now();
   const found = question.anyAngle ? anyAngle(graph, from, to) : astar(graph, from, to);
   const ms = performance.now() - started;
-  const entered = new Int32Array(2 * found.entered.length);
-  found.entered.forEach((flat, k) => entered.set(window.index(flat), 2 * k));
+  const entered = window.indices(found.entered);
   const numbers = { entered, expansions: found.expansions, ms, prepared };
   if (found.path === null) return { ...numbers, reason: "Nothing leads from the start to the goal." };
   const { path } = found, cells = path.map((flat) => window.index(flat));
@@ -69,6 +68,10 @@ function measure(points) {
 function warmUp(map, settings) {
   try {
     graphFor(map, settings).clearance([]);
+    // A search over nothing but free cells, so that the code is compiled by the time it is wanted.
+    const small = new Window(map.lattice, map.numbers.neighbourhoods[0], [0, 0], [79, 79]);
+    const states = small.fill(80, [0, 0], new Uint8Array(6400).fill(1)), corner = small.flat(0, 0);
+    for (let k = 0; k < 8; k++) astar(new Graph(small, states), k % 2 ? corner : small.flat(0, 79), small.flat(79, 9 * k));
   } catch (error) {
     if (!(error instanceof RangeError)) throw error;
   }
