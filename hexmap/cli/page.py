@@ -10,6 +10,7 @@ import typer
 from hexmap.cli import clouds
 from hexmap.cli.console import check_applies, check_outputs, first_run_note, wrote
 from hexmap.cli.plan.map_source import found, inputs_of
+from hexmap.cli.showing import parse_height
 from hexmap.cli.viewing import MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
@@ -20,13 +21,20 @@ if TYPE_CHECKING:
 
 def page(
     map: Annotated[
-        Path, typer.Argument(help="A map in the plane: of hexmap, ROS (.yaml), MovingAI .map, Wean Hall .dat.")
+        Path,
+        typer.Argument(
+            help="A map of hexmap, a ROS map (.yaml), MovingAI .map, Warframe .3dmap, OctoMap .bt, Wean Hall .dat."
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Where to write the page (.html).")],
     trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM, KITTI, EuRoC).")] = None,
     compare: Annotated[
         str | None,
-        typer.Option(metavar="LATTICE", help="Show the same world on another lattice beside it: A2 or Z2."),
+        typer.Option(metavar="LATTICE", help="Show the same world on another lattice beside it, such as Z2."),
+    ] = None,
+    slice: Annotated[
+        Any,
+        typer.Option("--slice", parser=parse_height, metavar="z=M", help="Of a map in space: first slice."),
     ] = None,
     title: Annotated[str | None, typer.Option(help="What it is called.", show_default="the map's file name")] = None,
     min_hits: MinHits = None,
@@ -47,7 +55,9 @@ def page(
         from hexmap.io.trajectories import read_trajectory
 
         poses = read_trajectory(trajectory)
-    path = write_page(source, output, trajectory=poses, compare=compare, rule=rule, title=title or map.name)
+    path = write_page(
+        source, output, trajectory=poses, compare=compare, rule=rule, title=title or map.name, height=slice
+    )
     wrote(path, f"{path.stat().st_size / 1e6:.2f} MB, open it in a browser")
 
 

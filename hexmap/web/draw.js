@@ -1,34 +1,42 @@
 "use strict";
 // Cells by WebGL2: one rectangle, whose every pixel is quantised onto the lattice and looks its cell up in a texture.
 
-// The numbers of the lattice are written into the program: it is compiled once a level.
+// The numbers of the lattice are written into the program: it is compiled once a level. A lattice of space is cut
+// horizontally: of each pixel's point, whose height is that of the slice, the nearest centre in space is found.
 function fragmentProgram(lattice) {
-  const vec = ([a, b]) => `vec2(${a.toFixed(1)}, ${b.toFixed(1)})`;
-  const { drawn, faces } = lattice.numbers;
+  const { drawn, faces } = lattice.numbers, n = lattice.numbers.basis.length, space = n === 3;
+  const vec = (v) => `vec${n}(${v.map((x) => x.toFixed(1)).join(", ")})`;
+  const list = (name, vectors) => `const vec${n} ${name}[${vectors.length}] = vec${n}[](${vectors.map(vec).join(", ")});`;
   return `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2DArray;
 precision highp usampler2D;
-const vec2 CANDIDATES[${drawn.length}] = vec2[](${drawn.map(vec).join(", ")});
-const vec2 FACES[${faces.length}] = vec2[](${faces.map(vec).join(", ")});
+precision highp usampler3D;
+${list("CANDIDATES", drawn)}
+${list("FACES", faces)}
 uniform usampler2DArray states;
-uniform usampler2D tiles, entered;
-uniform mat2 basis, inverse;
-uniform vec2 middle, fraction, metresPerPixel;
-uniform ivec2 centre, tableLow, tableShape, enteredLow, enteredShape;
-uniform int shift, detail, enteredShift;
+uniform usampler3D tiles;
+uniform usampler2D entered;
+uniform mat${n} basis, inverse;
+uniform vec${n} fraction;
+uniform vec2 middle, metresPerPixel;
+uniform ivec${n} centre;
+uniform ivec3 tableLow, tableShape;
+uniform ivec2 enteredLow, enteredShape;
+uniform int shift, abreast, detail, enteredShift;
 uniform float outline, now;
 uniform vec3 paper, free, wall, edge, early, late;
 out vec4 colour;
 
-uint stateOf(ivec2 cell) {
-  ivec2 tile = (cell >> shift) - tableLow;
-  if (any(lessThan(tile, ivec2(0))) || any(greaterThanEqual(tile, tableShape))) return 0u;
-  uint layer = texelFetch(tiles, tile.yx, 0).r;
-  if (layer == 0u) return 0u;
-  ivec2 inside = (cell & ((1 << shift) - 1)) >> detail;
-  return texelFetch(states, ivec3(inside.yx, int(layer) - 1), detail).r;
+uint stateOf(ivec3 cell) {
+  ivec3 tile = ivec3(cell.xy >> shift, cell.z) - tableLow;
+  if (any(lessThan(tile, ivec3(0))) || any(greaterThanEqual(tile, tableShape))) return 0u;
+  int number = int(texelFetch(tiles, tile.zyx, 0).r) - 1;
+  if (number < 0) return 0u;
+  ivec2 corner = ivec2(number / abreast % abreast, number % abreast) << shift;
+  ivec2 at = (corner + (cell.xy & ((1 << shift) - 1))) >> detail;
+  return texelFetch(states, ivec3(at.yx, number / (abreast * abreast)), detail).r;
 }
 
 float timeOf(ivec2 cell) {
@@ -39,24 +47,27 @@ float timeOf(ivec2 cell) {
 
 void main() {
   // Coordinates relative to the cell at the view's centre: near it they are exact however far away the origin is.
-  vec2 u = fraction + inverse * ((gl_FragCoord.xy - middle) * metresPerPixel);
-  vec2 low = floor(u), rest = u - low, found = vec2(0.0), off = vec2(0.0);
+  vec2 away = (gl_FragCoord.xy - middle) * metresPerPixel;
+  vec${n} u = fraction + inverse * ${space ? "vec3(away, 0.0)" : "away"};
+  vec${n} low = floor(u), rest = u - low, found = vec${n}(0.0), off = found;
   float best = 1e30;
   for (int k = 0; k < CANDIDATES.length(); k++) {
-    vec2 x = basis * (rest - CANDIDATES[k]);
+    vec${n} x = basis * (rest - CANDIDATES[k]);
     float d = dot(x, x);
     if (d < best) { best = d; found = CANDIDATES[k]; off = x; }
   }
-  ivec2 cell = centre + ivec2(low) + ivec2(found);
-  uint state = stateOf(cell);
+  ivec${n} cell = centre + ivec${n}(low) + ivec${n}(found);
+  uint state = stateOf(${space ? "cell" : "ivec3(cell, 0)"});
   vec3 shade = state == 2u ? wall : state == 1u ? free : paper;
-  float time = timeOf(cell);
-  if (time > 0.0 && time <= now && state != 2u) shade = mix(shade, mix(early, late, time), 0.62);
+  float time = timeOf(cell.xy);
+  if (time > 0.0 && time <= now && state != 2u) shade = mix(shade, mix(early, late, time), 0.75);
   if (outline > 0.0) {
     float border = 1e30;
     for (int k = 0; k < FACES.length(); k++) {
-      vec2 v = basis * FACES[k];
-      border = min(border, 0.5 * length(v) - dot(off, v) / length(v));
+      vec${n} v = basis * FACES[k];
+      // A face that lies flat is no border in a horizontal plane.
+      float across = length(v.xy);
+      if (across > 1e-6 * length(v)) border = min(border, (0.5 * dot(v, v) - dot(off, v)) / across);
     }
     float line = 1.0 - smoothstep(0.4, 1.2, border / abs(metresPerPixel.x));
     shade = mix(shade, edge, line * outline * (state == 0u ? 0.35 : 0.8));
@@ -67,6 +78,11 @@ void main() {
 
 const VERTEX_PROGRAM = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
+
+// A matrix as WebGL takes it, from its rows.
+function columnsOf(rows) {
+  return rows.map((_, k) => rows.map((row) => row[k])).flat();
+}
 
 class CellDrawing {
   constructor(canvas) {
@@ -102,19 +118,18 @@ class CellDrawing {
     if (!gl.getProgramParameter(this.program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(this.program));
     this.places = new Map();
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    this.levels = cells.shift + 1;
+    let { states, side, layers } = cells.sheets();
     this.texture("states", 0, gl.TEXTURE_2D_ARRAY);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, this.levels, gl.R8UI, cells.side, cells.side, cells.count);
-    let states = cells.states, side = cells.side;
-    for (let detail = 0; detail < this.levels; detail++) {
-      if (detail > 0) [states, side] = cells.halved(states, side);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, cells.details + 1, gl.R8UI, side, side, layers);
+    for (let detail = 0; detail <= cells.details; detail++) {
+      if (detail > 0) [states, side] = halved(states, side);
       gl.texSubImage3D(
-        gl.TEXTURE_2D_ARRAY, detail, 0, 0, 0, side, side, cells.count, gl.RED_INTEGER, gl.UNSIGNED_BYTE, states,
+        gl.TEXTURE_2D_ARRAY, detail, 0, 0, 0, side, side, layers, gl.RED_INTEGER, gl.UNSIGNED_BYTE, states,
       );
     }
-    this.texture("tiles", 1, gl.TEXTURE_2D);
-    const [down, across] = cells.tableShape;
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R16UI, across, down, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, cells.table);
+    this.texture("tiles", 1, gl.TEXTURE_3D);
+    const [a, b, c] = cells.tableShape;
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.R16UI, c, b, a, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, cells.table);
     this.setEntered(null);
   }
 
@@ -162,34 +177,34 @@ class CellDrawing {
 
   // The level of detail of a view, whose boxes are as high as a pixel at least, so that each of them meets one.
   detailFor(view, ratio) {
-    return Math.max(0, Math.min(this.cells.shift, Math.ceil(-Math.log2(view.scale * ratio * this.lattice.height))));
+    return Math.max(0, Math.min(this.cells.details, Math.ceil(-Math.log2(view.scale * ratio * this.lattice.height))));
   }
 
   // Draw a view: its centre in metres, pixels of the screen a metre, and whether y grows downwards.
   draw(view, ratio, detail, colours, now) {
     const { gl, canvas, lattice, cells } = this;
     if (!this.program) return;
-    const metres = 1 / (view.scale * ratio), [u, v] = lattice.coordinates(view.x, view.y);
+    const metres = 1 / (view.scale * ratio), u = lattice.coordinates(view.x, view.y, view.z), n = u.length;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.useProgram(this.program);
     this.set("uniform1i", "states", 0);
     this.set("uniform1i", "tiles", 1);
     this.set("uniform1i", "entered", 2);
-    // Columns first.
-    this.set("uniformMatrix2fv", "basis", false, [lattice.p, lattice.r, lattice.q, lattice.s]);
-    this.set("uniformMatrix2fv", "inverse", false, [lattice.ip, lattice.ir, lattice.iq, lattice.is]);
+    this.set(`uniformMatrix${n}fv`, "basis", false, columnsOf(lattice.numbers.basis));
+    this.set(`uniformMatrix${n}fv`, "inverse", false, columnsOf(lattice.inverse));
     this.set("uniform2f", "middle", canvas.width / 2, canvas.height / 2);
     this.set("uniform2f", "metresPerPixel", metres, view.down ? -metres : metres);
-    this.set("uniform2i", "centre", Math.floor(u), Math.floor(v));
-    this.set("uniform2f", "fraction", u - Math.floor(u), v - Math.floor(v));
+    this.set(`uniform${n}iv`, "centre", u.map(Math.floor));
+    this.set(`uniform${n}fv`, "fraction", u.map((v) => v - Math.floor(v)));
     this.set("uniform1i", "shift", cells.shift);
-    this.set("uniform2i", "tableLow", ...cells.tableLow);
-    this.set("uniform2i", "tableShape", ...cells.tableShape);
+    this.set("uniform1i", "abreast", cells.abreast);
+    this.set("uniform3iv", "tableLow", cells.tableLow);
+    this.set("uniform3iv", "tableShape", cells.tableShape);
     this.set("uniform2i", "enteredLow", ...this.entered.low);
     this.set("uniform2i", "enteredShape", ...this.entered.shape);
     this.set("uniform1i", "enteredShift", this.entered.shift);
     this.set("uniform1f", "now", now);
-    this.set("uniform1i", "detail", Math.min(cells.shift, detail));
+    this.set("uniform1i", "detail", Math.min(cells.details, detail));
     const wide = lattice.resolution * view.scale;
     this.set("uniform1f", "outline", Math.max(0, Math.min(1, (wide - 7) / 9)));
     for (const [name, colour] of Object.entries(colours)) this.set("uniform3f", name, ...colour);

@@ -12,6 +12,7 @@ class Lattice {
     this.iq = -q / det;
     this.ir = -r / det;
     this.is = p / det;
+    this.inverse = [[this.ip, this.iq], [this.ir, this.is]];
     [this.x0, this.y0] = numbers.origin;
     this.candidates = numbers.candidates;
     this.resolution = numbers.resolution;

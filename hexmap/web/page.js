@@ -3,7 +3,9 @@
 
 const $ = (id) => document.getElementById(id);
 const header = JSON.parse($("header").textContent);
-const view = { x: 0, y: 0, scale: 1, down: header.yDown };
+// A map in space is cut at one of its heights, metres; one in the plane has none.
+const view = { x: 0, y: 0, z: header.heights[header.cut], scale: 1, down: header.yDown };
+const inSpace = header.heights.length > 0;
 const ends = { start: null, goal: null };
 const trajectory = header.trajectory.map((run) => {
   const points = [];
@@ -44,10 +46,10 @@ class Pane {
     const numbers = this.map.levels[k];
     if (!this.loaded.has(k)) this.loaded.set(k, new Cells(numbers, await unpack($(`cells-${this.name}-${k}`).textContent), this.map.rule));
     this.numbers = numbers;
-    this.lattice = new Lattice(numbers);
+    this.lattice = inSpace ? new SpatialLattice(numbers) : new Lattice(numbers);
     this.cells = this.loaded.get(k);
     if (this.drawing.works) this.drawing.setLevel(this.lattice, this.cells);
-    worker.postMessage({ kind: "level", name: this.name, numbers, tiles: this.cells.states, settings: settings() });
+    if (!inSpace) worker.postMessage({ kind: "level", name: this.name, numbers, tiles: this.cells.states, settings: settings() });
   }
 
   // Pixels of the screen from metres, and back; (0, 0) is the pane's upper left corner.
@@ -77,9 +79,9 @@ class Pane {
     if (this.drawing.works) this.drawing.draw(view, ratio, detail, colours.cells, Number($("time").value) / 1000);
     // Where the pointer is on the screen stays when the view moves.
     const point = pointer?.pane.toMetres(...pointer.at) ?? (this.lines.matches(":focus-visible") ? [view.x, view.y] : null);
-    const hovered = point && this.lattice.quantise(...point);
+    const hovered = point && this.lattice.quantise(...point, view.z);
     this.overlay.draw(view, ratio, (x, y) => this.toPixels(x, y), colours.lines, {
-      trajectory, hovered, lattice: this.lattice, path: this.path, ...this.shownEnds(),
+      trajectory, hovered: inSpace ? null : hovered, lattice: this.lattice, path: this.path, ...this.shownEnds(),
       cross: pointer === null && this.lines.matches(":focus-visible"),
     });
     this.describe(point, hovered);
@@ -95,8 +97,9 @@ class Pane {
     if (!point) return void (this.caption.textContent = "");
     const { state, hits, passes } = this.cells.at(...cell), number = (v) => v.toLocaleString("en");
     const counts = hits === undefined ? "" : `, ${number(hits)} hits, ${number(passes)} passes`;
-    const [x, y] = point.map((v) => v.toFixed(Math.max(2, Math.ceil(1 - Math.log10(this.lattice.resolution)))));
-    this.caption.textContent = `${x}, ${y} m · cell (${cell.join(", ")}) ${["unknown", "free", "occupied"][state]}${counts}`;
+    const digits = Math.max(2, Math.ceil(1 - Math.log10(this.lattice.resolution)));
+    const metres = [...point, ...(inSpace ? [view.z] : [])].map((v) => v.toFixed(digits)).join(", ");
+    this.caption.textContent = `${metres} m · cell (${cell.join(", ")}) ${["unknown", "free", "occupied"][state]}${counts}`;
   }
 
   // Ask for a path; what is asked while an answer is awaited replaces what waits.
@@ -187,6 +190,7 @@ function plan() {
 
 // Put an end somewhere: without a role the one that is missing, of two the goal.
 function place(point, role = ends.start && !ends.goal ? "goal" : ends.start ? "goal" : "start") {
+  if (inSpace) return;
   ends[role] = point;
   plan();
 }
@@ -308,6 +312,8 @@ function onKey(event, pane) {
   const step = event.shiftKey ? 8 : 60, keys = {
     ArrowLeft: () => pan(step, 0), ArrowRight: () => pan(-step, 0), ArrowUp: () => pan(0, step), ArrowDown: () => pan(0, -step),
     "+": () => zoom(1.4, pane), "=": () => zoom(1.4, pane), "-": () => zoom(1 / 1.4, pane), 0: fit,
+    PageUp: () => cut(Math.min(Number($("height").value) + 1, header.heights.length - 1)),
+    PageDown: () => cut(Math.max(Number($("height").value) - 1, 0)),
     a: () => place([view.x, view.y], "start"), b: () => place([view.x, view.y], "goal"), Escape: clearPath,
   };
   const action = keys[event.key] ?? keys[event.key.toLowerCase()];
@@ -315,6 +321,14 @@ function onKey(event, pane) {
   event.preventDefault();
   pointer = null;
   action();
+}
+
+// Show the slice at one of the heights.
+function cut(k) {
+  view.z = header.heights[k];
+  $("height").value = k;
+  $("height-shown").textContent = inSpace ? `${view.z.toFixed(2)} m` : "";
+  invalidate();
 }
 
 function listenToPanel() {
@@ -325,6 +339,7 @@ function listenToPanel() {
   $("play").addEventListener("click", play);
   $("time").addEventListener("input", () => (stopPlaying(), invalidate()));
   for (const id of ["neighbourhood", "radius", "weight", "any-angle"]) $(id).addEventListener("input", plan);
+  $("height").addEventListener("input", () => cut(Number($("height").value)));
   $("level").addEventListener("change", () => showLevel(Number($("level").value)));
   for (const role of ["start", "goal"]) {
     const given = () => {
@@ -358,6 +373,7 @@ async function open() {
   if (panes.some((pane) => !pane.drawing.works)) document.documentElement.classList.add("without-webgl");
   panes.forEach((pane) => pane.resize());
   await showLevel(0);
+  cut(header.cut);
   fit();
   const watcher = new ResizeObserver(() => {
     // Before the next picture: a canvas that is resized is empty.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import os
 import tempfile
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hexmap.base.arrays import FloatArray
 from hexmap.base.atomic_files import atomic_write
@@ -27,7 +30,7 @@ from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule, States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.trajectory import Trajectory
-from hexmap.web.payload import PageLevel, PageMap, level_numbers, on_lattice, page_map, trajectory_runs
+from hexmap.web.payload import PageLevel, PageMap, heights_of, level_numbers, on_lattice, page_map, trajectory_runs
 
 __all__ = ["page_html", "planner_source", "write_page"]
 
@@ -53,11 +56,12 @@ def write_page(
     compare: str | Lattice | None = None,
     rule: StateRule | None = None,
     title: str | None = None,
+    height: float | None = None,
 ) -> Path:
     """Write a page (``.html``) and return its path; the same arguments give the same bytes.
 
     Args:
-        source: a map in the plane, of hexmap or of others.
+        source: a map, of hexmap or of others; in one that is in space there is only to look, at horizontal slices.
         path: of the file.
         trajectory: where the robot went, in the map's frame: a trajectory or positions (N, 2) or (N, 3), metres; a row
             that is not finite interrupts the line.
@@ -65,9 +69,11 @@ def write_page(
             finest level.
         rule: what makes a cell occupied or free; the default rule where none is given.
         title: what the page is called; the file's name where there is none.
+        height: of the first slice through a map in space, metres; the page shows the nearest height of any centre.
 
     Raises:
-        ArgumentError: another suffix, a map in space or without known cells, a trajectory of another shape.
+        ArgumentError: another suffix, a map without known cells, a map in space without a height or one in the plane
+            with a height, a trajectory of another shape.
         LatticeError: there is no lattice of that name.
         TooLargeError: the cells are spread too widely for a browser.
         FileAccessError: the file cannot be written.
@@ -75,7 +81,7 @@ def write_page(
     path = Path(path)
     if path.suffix.lower() not in (".html", ".htm"):
         raise ArgumentError(f"{path}: a page is written as .html, not {path.suffix or 'a file without a suffix'}")
-    html = page_html(source, trajectory=trajectory, compare=compare, rule=rule, title=title or path.stem)
+    html = page_html(source, trajectory=trajectory, compare=compare, rule=rule, title=title or path.stem, height=height)
     with atomic_write(path) as file:
         file.write(html.encode("utf-8"))
     return path
@@ -88,6 +94,7 @@ def page_html(
     compare: str | Lattice | None = None,
     rule: StateRule | None = None,
     title: str = "Map",
+    height: float | None = None,
 ) -> str:
     """Return the page as text, for a file or for the ``srcdoc`` of a frame; see :func:`write_page`."""
     from jinja2 import Environment, StrictUndefined
@@ -96,7 +103,10 @@ def page_html(
     first = page_map(source, rule)
     maps = [first] if compare is None else [first, on_lattice(source, first, compare)]
     numbers, data = _numbers(maps)
+    heights, at = _cut(first, height)
     header = {
+        "heights": heights,
+        "cut": at,
         "bounds": _bounds(maps),
         "yDown": first.y_down,
         "trajectory": trajectory_runs(trajectory, first.levels[0].lattice.resolution),
@@ -112,9 +122,10 @@ def page_html(
         summary=_summary(first, source),
         maps=[{"title": m.title, "label": f"{m.title}, {m.levels[0].lattice.resolution:.4g} m"} for m in maps],
         level_names=[f"{level.lattice.resolution:.4g} m" for level in first.levels],
-        neighbourhoods=_neighbourhood_words(numbers),
+        neighbourhoods={} if heights else _neighbourhood_words(numbers),
+        heights=len(heights),
         rows=_ROWS,
-        stills=[_still(m) for m in maps],
+        stills=[_still(m, heights[at] if heights else None) for m in maps],
         header=Markup(_json(header)),
         data=data,
         planner=Markup(planner),
@@ -158,6 +169,19 @@ def _numbers(maps: Sequence[PageMap]) -> tuple[list[dict[str, Any]], dict[str, s
     return numbers, data
 
 
+def _cut(page: PageMap, height: float | None) -> tuple[list[float], int]:
+    """Return the heights of a map in space, none of one in the plane, and which of them is shown first."""
+    level = page.levels[0]
+    if level.lattice.dim == 2:
+        if height is not None:
+            raise ArgumentError(f"the map is in the plane: there is no slice of it at {height:g} m")
+        return [], 0
+    if height is None or not math.isfinite(height):
+        raise ArgumentError("the map is in space: a page shows slices of it, and needs the height of the first one")
+    heights = heights_of(level)
+    return heights, min(range(len(heights)), key=lambda k: abs(heights[k] - height))
+
+
 def _bounds(maps: Sequence[PageMap]) -> list[float]:
     """Return left, low, right and high border of all cells of the finest levels, metres."""
     low, high = [], []
@@ -166,14 +190,14 @@ def _bounds(maps: Sequence[PageMap]) -> list[float]:
         centres = level.lattice.centres(level.index) + level.origin
         low.append(centres.min(axis=0) - level.lattice.covering_radius)
         high.append(centres.max(axis=0) + level.lattice.covering_radius)
-    return [*(min(v) for v in zip(*low, strict=True)), *(max(v) for v in zip(*high, strict=True))]
+    return [*np.min(low, axis=0)[:2].tolist(), *np.max(high, axis=0)[:2].tolist()]
 
 
 def _summary(page: PageMap, source: Map | GridMap) -> str:
     level = page.levels[0]
     states = level.states_by(page.rule)
     occupied, free = (int((states == s.value).sum()) for s in (CellState.OCCUPIED, CellState.FREE))
-    frame = f", frame {source.frame}" if isinstance(source, Map) else f", {source.kind}"
+    frame = f", frame {source.frame}" if isinstance(source, Map) else f", {source.kind} map"
     return f"{occupied:,} occupied and {free:,} free cells of {level.lattice.resolution:.4g} m{frame}"
 
 
@@ -187,13 +211,19 @@ def _neighbourhood_words(numbers: Sequence[dict[str, Any]]) -> dict[str, str]:
     }
 
 
-def _still(page: PageMap) -> str:
-    """Return the picture of the finest level, PNG in base64."""
+def _still(page: PageMap, height: float | None) -> str:
+    """Return the picture of the finest level, or of a slice through it, PNG in base64."""
     from hexmap.drawing.map_drawing import draw_states
+    from hexmap.drawing.slice_drawing import draw_slice
 
     level = page.levels[0]
+    states = _states(level, page.rule)
     with tempfile.TemporaryDirectory() as folder:
-        path = draw_states(_states(level, page.rule), Path(folder) / "map.png", dpi=_STILL)
+        path = Path(folder) / "map.png"
+        if height is None:
+            draw_states(states, path, dpi=_STILL)
+        else:
+            draw_slice(states, height, path, offset=level.origin, dpi=_STILL)
         return base64.b64encode(path.read_bytes()).decode("ascii")
 
 

@@ -26,9 +26,20 @@ from hexmap.maps.state_rule import StateRule
 from hexmap.poses.trajectory import Trajectory
 from hexmap.web.tiles import Tiles, compress, encode
 
-__all__ = ["PageLevel", "PageMap", "level_numbers", "on_lattice", "page_map", "trajectory_runs"]
+__all__ = [
+    "PageLevel",
+    "PageMap",
+    "candidates",
+    "heights_of",
+    "lattice_numbers",
+    "level_numbers",
+    "on_lattice",
+    "page_map",
+    "trajectory_runs",
+]
 
 _STEP = 0.25  # of a cell, which a trajectory must have moved for another point
+_MOST_HEIGHTS = 1000  # steps of a slider
 _GRAIN = 1e-3  # metres, of a trajectory's points
 
 
@@ -37,15 +48,15 @@ class PageLevel:
     """Cells of one resolution, those that are known only.
 
     Attributes:
-        lattice: of the plane.
-        origin: (2,) metres, where the cell 0 has its centre.
-        index: (M, 2) int32, lexicographically.
+        lattice: of the plane or of space.
+        origin: (n,) metres, where the cell 0 has its centre.
+        index: (M, n) int32, lexicographically.
         hits, passes: (M,) int64 counts; None in a map that knows states only.
         states: (M,) uint8 states; None where they follow from the counts.
     """
 
     lattice: Lattice
-    origin: tuple[float, float]
+    origin: tuple[float, ...]
     index: NDArray[np.int32]
     hits: NDArray[np.int64] | None = None
     passes: NDArray[np.int64] | None = None
@@ -78,19 +89,17 @@ class PageMap:
 
 
 def page_map(source: Map | GridMap, rule: StateRule | None = None) -> PageMap:
-    """Return a map in the plane for a page: one of hexmap with its counts, one of others on its own squares.
+    """Return a map for a page: one of hexmap with its counts, one of others on its own squares or cubes.
 
     Raises:
-        ArgumentError: it is in space, or no cell of it is known.
+        ArgumentError: no cell of it is known.
     """
     dim = source.lattice.dim if isinstance(source, Map) else source.dim
-    if dim != 2:
-        raise ArgumentError("a page shows maps in the plane, and this one is in space")
     if isinstance(source, GridMap):
         levels = [_level_of_grid(source)]
     else:
         columns = [(level.lattice, *level.columns()) for level in source.levels]
-        levels = [PageLevel(on, (0.0, 0.0), unpack(keys, 2), hits, passes) for on, keys, hits, passes in columns]
+        levels = [PageLevel(on, (0.0,) * dim, unpack(keys, dim), hits, passes) for on, keys, hits, passes in columns]
     if len(levels[0].index) == 0:
         raise ArgumentError("no cell of the map is free or occupied, which leaves nothing to show")
     y_down = isinstance(source, GridMap) and source.y_down
@@ -98,14 +107,14 @@ def page_map(source: Map | GridMap, rule: StateRule | None = None) -> PageMap:
 
 
 def _level_of_grid(grid: GridMap) -> PageLevel:
-    """Return the known squares of a map of others."""
-    ends = grid.centre(np.array([[0, 0], [1, 0], [0, 1]]))
+    """Return the known squares or cubes of a map of others."""
+    n = grid.dim
+    first, *ends = grid.centre(np.vstack([np.zeros((1, n), np.int64), np.eye(n, dtype=np.int64)]))
     # The name decides nothing; the squares of a turned map are another lattice than those along the axes.
-    squares = Lattice(np.array([ends[1] - ends[0], ends[2] - ends[0]]).T, "squares of its own")
+    own = Lattice(np.array([end - first for end in ends]).T, "own squares" if n == 2 else "own cubes")
     index = np.argwhere(grid.states != CellState.UNKNOWN.value).astype(np.int32)
-    states = grid.states[index[:, 0], index[:, 1]].astype(np.uint8)
-    x, y = ends[0].tolist()
-    return PageLevel(squares, (x, y), index, states=states)
+    states = grid.states[tuple(index.T)].astype(np.uint8)
+    return PageLevel(own, tuple(first.tolist()), index, states=states)
 
 
 def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) -> PageMap:
@@ -121,13 +130,13 @@ def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) ->
 
     Raises:
         LatticeError: there is no lattice of that name.
-        ArgumentError: it is one of space.
+        ArgumentError: it is of another dimension.
     """
     levels = []
     for k, level in enumerate(world.levels):
         on = Lattice.named(lattice, level.lattice.resolution) if isinstance(lattice, str) else lattice.scaled(2.0**k)
-        if on.dim != 2:
-            raise ArgumentError(f"the map is in the plane, and {on.name} is a lattice of space")
+        if on.dim != level.lattice.dim:
+            raise ArgumentError(f"the map is of dimension {level.lattice.dim}, the lattice {on.name} of {on.dim}")
         levels.append(_rasterised(source, on) if isinstance(source, GridMap) else _resampled(level, on))
     return PageMap(levels[0].lattice.title, tuple(levels), world.rule, world.y_down)
 
@@ -138,7 +147,7 @@ def _rasterised(grid: GridMap, on: Lattice) -> PageLevel:
     keys = np.concatenate([states.occupied.keys, states.free.keys])
     values = np.repeat([CellState.OCCUPIED.value, CellState.FREE.value], [len(states.occupied), len(states.free)])
     order = np.argsort(keys)
-    return PageLevel(on, (0.0, 0.0), unpack(keys[order], 2), states=values[order].astype(np.uint8))
+    return PageLevel(on, (0.0,) * on.dim, unpack(keys[order], on.dim), states=values[order].astype(np.uint8))
 
 
 def _resampled(level: PageLevel, on: Lattice) -> PageLevel:
@@ -152,14 +161,14 @@ def _resampled(level: PageLevel, on: Lattice) -> PageLevel:
     keys = np.unique(pack(near))
     for offset in around:
         keys = np.union1d(keys, np.unique(pack(near + offset.astype(np.int32))))
-    index = unpack(keys, 2)
+    index = unpack(keys, on.dim)
     at = pack(own.quantise(on.centres(index) - origin))
     known = pack(level.index)
     position = np.minimum(np.searchsorted(known, at), len(known) - 1)
     found = known[position] == at
     taken = position[found]
     hits, passes, states = (None if v is None else v[taken] for v in (level.hits, level.passes, level.states))
-    return PageLevel(on, (0.0, 0.0), index[found], hits, passes, states)
+    return PageLevel(on, (0.0,) * on.dim, index[found], hits, passes, states)
 
 
 # ---------------------------------------------------------------------- numbers for the page
@@ -180,8 +189,8 @@ def level_numbers(level: PageLevel, rule: StateRule) -> tuple[dict[str, Any], st
     numbers = {
         **lattice_numbers(lattice),
         "origin": list(level.origin),
-        "low": level.index.min(axis=0).tolist() if len(level.index) else [0, 0],
-        "high": level.index.max(axis=0).tolist() if len(level.index) else [0, 0],
+        "low": level.index.min(axis=0, initial=2**31 - 1).tolist(),
+        "high": level.index.max(axis=0, initial=-(2**31)).tolist(),
         "side": tiles.side,
         "tiles": tiles.corners.ravel().tolist(),
         "planes": planes,
@@ -193,42 +202,62 @@ def level_numbers(level: PageLevel, rule: StateRule) -> tuple[dict[str, Any], st
 
 
 def lattice_numbers(lattice: Lattice) -> dict[str, Any]:
-    """Return what a page draws and plans with of a lattice of the plane."""
-    return {
+    """Return what a page draws and, in the plane, plans with of a lattice."""
+    numbers = {
         "title": lattice.title,
         "basis": lattice.basis.tolist(),
         "resolution": lattice.resolution,
-        "inradius": lattice.inradius,
-        "covering": lattice.covering_radius,
         "candidates": candidates(lattice).tolist(),
         "drawn": candidates(lattice, touching=False).tolist(),
-        "vertices": lattice.cell.vertices.tolist(),
         "faces": lattice.faces.tolist(),
-        "neighbourhoods": [neighbourhood_numbers(lattice, name) for name in _neighbourhoods(lattice)],
     }
+    if lattice.dim == 2:
+        numbers |= {
+            "inradius": lattice.inradius,
+            "covering": lattice.covering_radius,
+            "vertices": lattice.cell.vertices.tolist(),
+            "neighbourhoods": [neighbourhood_numbers(lattice, name) for name in _neighbourhoods(lattice)],
+        }
+    return numbers
 
 
 def candidates(lattice: Lattice, touching: bool = True) -> NDArray[np.int64]:
-    """Return the offsets (K, 2), lexicographically, whose closed cell meets the unit parallelogram of the basis.
+    """Return the offsets (K, n), lexicographically, whose closed cell meets the unit parallelepiped of the basis.
 
     The nearest lattice point to a point x is floor(B^-1 x) plus one of them, whether the basis is reduced or not.
     Without those that are only ``touching`` it the nearest is still among them, but not every one of several.
     """
-    # A cell reaches as far along the indices as its corners do.
-    corners = lattice.cell.vertices @ np.linalg.inv(lattice.basis).T
+    cell, n = lattice.cell, lattice.dim
+    # All in index coordinates, where the parallelepiped is the unit cube. A cell reaches as far as its corners do.
+    to_index = np.linalg.inv(lattice.basis).T
+    corners = cell.vertices @ to_index
     low, high = corners.min(axis=0), corners.max(axis=0)
     box = IndexBox.of_corners(np.floor(-high - 1e-9).astype(np.int64), np.ceil(1.0 - low + 1e-9).astype(np.int64))
-    # Convex areas are apart where an edge of one of them separates them (the separating axis theorem).
-    unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    edges = np.concatenate([np.roll(corners, -1, axis=0) - corners, np.eye(2)])
-    axes = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
-    kept = []
-    for offset in box.cells():
-        mine, theirs = (corners + offset) @ axes.T, unit @ axes.T
-        gap = np.maximum(mine.min(axis=0) - theirs.max(axis=0), theirs.min(axis=0) - mine.max(axis=0))
-        if gap.max() <= (1e-9 if touching else -1e-9):
-            kept.append(offset)
-    return np.array(kept)
+    # Convex bodies are apart where a face of one of them separates them or, in space, a plane along an edge of each
+    # (the separating axis theorem).
+    axes = [cell.normals @ lattice.basis, np.eye(n)]
+    if n == 3:
+        edges = np.concatenate([corners[ring] - np.roll(corners[ring], 1, axis=0) for ring in cell.rings])
+        axes.append(np.cross(edges[:, None], np.eye(n)).reshape(-1, n))
+    across = np.concatenate(axes)
+    lengths = np.linalg.norm(across, axis=1)
+    across = (across[lengths > 1e-9] / lengths[lengths > 1e-9, None]).T
+    cube = np.array(list(np.ndindex(*(2,) * n)), dtype=np.float64) @ across
+    mine = corners @ across
+    offsets = box.cells()
+    at = offsets @ across
+    gaps = np.maximum(mine.min(axis=0) + at - cube.max(axis=0), cube.min(axis=0) - mine.max(axis=0) - at).max(axis=1)
+    return offsets[gaps <= (1e-9 if touching else -1e-9)]
+
+
+def heights_of(level: PageLevel) -> list[float]:
+    """Return the heights, metres, at which a map in space may be cut: those of its cells' centres."""
+    z = level.lattice.centres(level.index)[:, 2] + level.origin[2]
+    grain = 1e-6 * level.lattice.resolution
+    found = np.unique(np.rint(z / grain)) * grain
+    if len(found) > _MOST_HEIGHTS:  # of a basis whose cells all lie at heights of their own
+        found = np.linspace(found[0], found[-1], _MOST_HEIGHTS)
+    return [float(v) for v in np.round(found, 9)]
 
 
 def _neighbourhoods(lattice: Lattice) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Cells of the plane as dense square tiles of bytes, compressed: the form in which a page carries them.
+"""Cells as dense square tiles of bytes, compressed: the form in which a page carries them.
 
 Whoever reads a page needs nothing but an inflater: tiles follow one another in the order of their indices; of each
 array come all tiles' lowest bytes first, then the next ones. Counts of passes are replaced by how far they are off a
@@ -19,38 +19,44 @@ from hexmap.base.errors import BoundsError, TooLargeError
 __all__ = ["MOST_COUNT", "Tiles", "compress", "encode"]
 
 MOST_COUNT = 2**52 - 1  # beyond, twice a count falls into the gaps of a browser's numbers
-_LAYERS = 256  # of a texture array, that every device with WebGL2 has
-_SIDES = (512, 1024, 2048)  # 2048 is what every such device has, also for tiles along each index
+_MOST_TILES = {2: 256, 3: 65_535}  # layers of a texture array on every device with WebGL 2; numbers of 16 bits
+_SIDES = {2: (512, 1024, 2048), 3: (32, 64, 128)}  # textures are 2048 wide on every such device; small tiles share one
+_EXTENT = 2048  # tiles along an index, for the same reason
 _THOROUGH = 1 << 26  # bytes up to which the best compression takes seconds only
 
 
 class Tiles:
-    """Which square tiles of a lattice's indices hold a known cell, and where in them each cell is.
+    """Which square tiles of a lattice's first two indices hold a known cell, and where in them each cell is.
+
+    In space a tile has one third index.
 
     Attributes:
-        side: cells along each index of a tile.
-        corners: (K, 2) int64 tiles, lexicographically: the index of its first cell over ``side``.
+        side: cells along each of the two indices of a tile.
+        corners: (K, n) int64 tiles, lexicographically: the first two indices of its first cell over ``side``, then the
+            third one if there is one.
     """
 
     def __init__(self, index: NDArray[np.int32]) -> None:
-        """Take the cells (M, 2).
+        """Take the cells (M, n).
 
         Raises:
             TooLargeError: they are spread over more tiles than a browser can hold.
         """
-        for side in _SIDES:
-            at = index.astype(np.int64) // side
+        n = index.shape[1]
+        for side in _SIDES[n]:
+            at = index.astype(np.int64)
+            at[:, :2] //= side
             corners, which = np.unique(at, axis=0, return_inverse=True)
-            if len(corners) <= _LAYERS and np.ptp(corners, axis=0).max(initial=0) < _SIDES[-1]:
+            if len(corners) <= _MOST_TILES[n] and np.ptp(corners, axis=0).max(initial=0) < _EXTENT:
                 break
         else:
             raise TooLargeError(
-                f"a page holds cells in {_LAYERS} tiles of {side} x {side} indices, and these lie in {len(corners):,}; "
-                "crop the map, or take a coarser level"
+                f"a page holds cells in {_MOST_TILES[n]:,} tiles of {side} x {side} indices, and these lie in "
+                f"{len(corners):,}; crop the map, or take a coarser one"
             )
         self.side = side
-        self.corners = corners.reshape(-1, 2)
-        inside = index.astype(np.int64) - at * side
+        self.corners = corners
+        inside = index[:, :2].astype(np.int64) - at[:, :2] * side
         self._flat = (which.ravel() * side + inside[:, 0]) * side + inside[:, 1]
 
     def dense(self, values: NDArray[Any]) -> NDArray[Any]:

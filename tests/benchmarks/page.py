@@ -33,6 +33,11 @@ _SCREEN = {"width": 1200, "height": 800}
 
 # Milliseconds until the answer to a query is there, the first one not counted, and what the search alone took.
 _PATH = """async ([start, goal, moves, any]) => {
+  const turn = () => new Promise((done) => {
+    const channel = new MessageChannel();
+    channel.port1.onmessage = done;
+    channel.port2.postMessage(0);
+  });
   document.getElementById("neighbourhood").value = moves;
   document.getElementById("any-angle").checked = any;
   ends.start = start;
@@ -42,7 +47,7 @@ _PATH = """async ([start, goal, moves, any]) => {
     panes[0].answer = null;
     const begin = performance.now();
     plan();
-    while (!panes[0].answer) await new Promise(done => { const c = new MessageChannel(); c.port1.onmessage = done; c.port2.postMessage(0); });
+    while (!panes[0].answer) await turn();
     if (k) whole.push(performance.now() - begin);
     if (k) searched.push(panes[0].answer.ms);
   }
@@ -66,7 +71,7 @@ def office(cells: int) -> Map:
     """Return a map of an office with about so many known cells on its finest level."""
     events = list(simulate(make_building("office"), seed=7))
     resolution, found = 0.1, 0
-    for levels in (1, 3):
+    for levels in (1, 1, 3):
         builder = MapBuilder(Lattice.named("A2", resolution), levels)
         for event in events:
             if isinstance(event.event, Scan):
@@ -140,7 +145,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--map", type=Path, help="a map of your own (.parquet)")
     parser.add_argument("--cells", type=int, default=500_000)
-    parser.add_argument("--copies", type=int, default=40, help="of it in the large map; 0 for none")
+    parser.add_argument("--copies", type=int, default=49, help="of it in the large map; 0 for none")
     given = parser.parse_args(arguments)
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
