@@ -16,7 +16,8 @@ from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.keys import pack
 from hexmap.lattice.lattice import Lattice
 from hexmap.web.page import page_html, write_page
-from tests.lattices import SKEW2
+from tests.lattices import SKEW2, SPATIAL
+from tests.mapping import room_in_space
 from tests.web.conftest import until
 from tests.web.worlds import rooms
 
@@ -74,6 +75,33 @@ def test_every_pixel_shows_its_cell(first: Lattice, second: Lattice, tmp_path: P
         assert wrong.mean() < 1e-3
         away = np.linalg.norm(points[wrong] - lattice.centres(cells[wrong.ravel()]), axis=1)
         assert (away > 0.9 * lattice.inradius).all()
+
+
+@pytest.mark.parametrize("second", [case.lattice for case in SPATIAL[2:]], ids=lambda lattice: lattice.name)
+def test_every_pixel_of_a_slice_shows_the_cell_in_space(second: Lattice, tmp_path: Path, opened: Open) -> None:
+    first = Lattice.named("D3", resolution=0.15)
+    second = second.scaled(0.15 / second.resolution)
+    world = room_in_space(first, 1, 3000)
+    page = opened(write_page(world, tmp_path / "m.html", compare=second, height=0.9), 900, 400)
+    scale, z = 8.0 / first.resolution, page.evaluate("view.z")
+    look(page, 0.613, -0.207, scale)
+    for k, lattice in enumerate((first, second)):
+        w, h, states = page.evaluate(f"k => {{ cut({k}0); return ({PIXELS})(k); }}", k)
+        z = page.evaluate("view.z")
+        i, j = np.mgrid[0:h, 0:w]
+        points = np.stack([0.613 + (j + 0.5 - w / 2) / scale, -0.207 + (i + 0.5 - h / 2) / scale, z + 0.0 * i], axis=-1)
+        cells = lattice.quantise(points.reshape(-1, 3))
+        want = world.state().of(first.quantise(lattice.centres(cells))).reshape(h, w)
+        shown = np.array(states).reshape(h, w)
+        # A plane at the height of centres may run along faces, and there are outlines at this scale.
+        told = shown != 3
+        assert told.mean() > 0.5 and (shown != want)[told].mean() < 5e-3
+    page.locator(".lines").first.click(position={"x": 200, "y": 100})
+    assert page.evaluate("ends.start") is None
+    before = page.inner_text("#height-shown")
+    page.keyboard.press("PageUp")
+    assert page.inner_text("#height-shown") != before
+    until(page, "panes[0].caption.textContent.split(',').length > 4")
 
 
 def test_seen_from_afar_no_wall_vanishes(compared: Path, opened: Open) -> None:

@@ -23,11 +23,12 @@ from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.web.page import page_html, write_page
 from hexmap.web.payload import candidates, on_lattice, page_map, trajectory_runs
-from tests.lattices import PLANAR, SPATIAL
+from tests.lattices import CASES, SPATIAL
+from tests.mapping import room_in_space
 from tests.web.worlds import rooms
 
 SHEARED = Lattice([[1.0, 7.0], [0.0, 1.0]], "sheared squares")
-PLANE = [*(case.lattice for case in PLANAR), SHEARED]
+LATTICES = [*(case.lattice for case in CASES), SHEARED]
 A2 = Lattice.named("A2", resolution=0.1)
 
 
@@ -68,11 +69,11 @@ class Parts(HTMLParser):
         self._in = ("", {})
 
 
-def decoded(parts: Parts, m: int = 0, k: int = 0) -> tuple[dict[str, Any], dict[tuple[int, int], tuple[int, ...]]]:
+def decoded(parts: Parts, m: int = 0, k: int = 0) -> tuple[dict[str, Any], dict[tuple[int, ...], tuple[int, ...]]]:
     """Return a level's numbers, and hits and passes (or the state) of its cells, by the plainest code there is."""
     numbers = json.loads(parts.scripts["header"])["maps"][m]["levels"][k]
     raw = zlib.decompress(base64.b64decode(parts.scripts[f"cells-{m}-{k}"]), -15)
-    side, tiles = numbers["side"], np.array(numbers["tiles"]).reshape(-1, 2)
+    side, tiles = numbers["side"], np.array(numbers["tiles"]).reshape(-1, len(numbers["basis"]))
     size, at = len(tiles) * side * side, 0
     values = {}
     for name, planes in numbers["planes"].items():
@@ -93,7 +94,7 @@ def decoded(parts: Parts, m: int = 0, k: int = 0) -> tuple[dict[str, Any], dict[
     some = np.any([v != 0 for v in values.values()], axis=0)
     cells = {}
     for t, i, j in np.argwhere(some):
-        index = (int(tiles[t, 0]) * side + int(i), int(tiles[t, 1]) * side + int(j))
+        index = (int(tiles[t, 0]) * side + int(i), int(tiles[t, 1]) * side + int(j), *map(int, tiles[t, 2:]))
         cells[index] = tuple(int(values[n][t, i, j]) for n in ("hits", "passes", "states") if n in values)
     return numbers, cells
 
@@ -134,15 +135,15 @@ def test_a_map_of_others_keeps_its_squares_where_they_are() -> None:
     np.testing.assert_allclose(centres, grid.centre(np.array(list(cells))), atol=1e-12)
 
 
-@pytest.mark.parametrize("lattice", PLANE, ids=lambda lattice: lattice.name)
+@pytest.mark.parametrize("lattice", LATTICES, ids=lambda lattice: lattice.name)
 def test_the_nearest_centre_is_always_among_the_candidates(lattice: Lattice) -> None:
     rng = np.random.default_rng(3)
-    u = rng.uniform(-4.0, 4.0, (4000, 2))
+    u = rng.uniform(-4.0, 4.0, (4000, lattice.dim))
     low = np.floor(u)
-    offsets = candidates(lattice)
-    away = np.linalg.norm((u - low)[:, None] @ lattice.basis.T - offsets @ lattice.basis.T, axis=2)
-    found = low + offsets[away.argmin(axis=1)]
-    assert (found == lattice.quantise(u @ lattice.basis.T)).all()
+    for offsets in (candidates(lattice), candidates(lattice, touching=False)):
+        away = np.linalg.norm((u - low)[:, None] @ lattice.basis.T - offsets @ lattice.basis.T, axis=2)
+        found = low + offsets[away.argmin(axis=1)]
+        assert (found == lattice.quantise(u @ lattice.basis.T)).all()
 
 
 def test_comparing_takes_what_is_at_the_centre_of_each_cell() -> None:
@@ -193,6 +194,21 @@ def test_texts_are_escaped() -> None:
     assert json.loads(made.scripts["header"])["maps"][0]["title"] == nasty
 
 
+def test_a_map_in_space_is_cut_at_the_heights_of_its_cells() -> None:
+    world = room_in_space(Lattice.named("D3", 0.2), 1, 3000)
+    made = Parts(page_html(world, height=0.93))
+    header = json.loads(made.scripts["header"])
+    keys, hits, passes = world.levels[0].columns()
+    cells = VoxelList(world.lattice, keys, np.ones_like(keys))
+    z = np.unique(np.round(cells.centres()[:, 2], 6))
+    np.testing.assert_allclose(header["heights"], z, atol=1e-6)
+    assert abs(header["heights"][header["cut"]] - 0.93) == pytest.approx(np.abs(z - 0.93).min(), abs=1e-6)
+    numbers, held = decoded(made)
+    want = zip(cells.index.tolist(), hits.tolist(), passes.tolist(), strict=True)
+    assert held == {tuple(i): (h, p) for i, h, p in want}
+    assert numbers["side"] == 32
+
+
 def test_a_trajectory_is_kept_to_the_millimetre_and_interrupted_where_it_is() -> None:
     positions = np.array([[0.0, 0.0], [1.0004, 2.0], [1.0, 2.001], [np.nan, 0.0], [5.0, 5.0], [5.0, 6.0]])
     assert trajectory_runs(positions, 0.1) == [[0, 0, 1000, 2000], [5000, 5000, 0, 1000]]
@@ -204,8 +220,11 @@ def test_a_trajectory_is_kept_to_the_millimetre_and_interrupted_where_it_is() ->
 def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match=r"a\.txt"):
         write_page(rooms(A2, 1), tmp_path / "a.txt")
+    cell = VoxelList.from_cells(np.array([[1, 2, 3]]), SPATIAL[0].lattice)
     with pytest.raises(ArgumentError, match="in space"):
-        page_html(Map([Level(*[VoxelList.empty(SPATIAL[0].lattice)] * 2)]))
+        page_html(Map([Level(cell, VoxelList.empty(SPATIAL[0].lattice))]))
+    with pytest.raises(ArgumentError, match=r"0\.5 m"):
+        page_html(rooms(A2, 1), height=0.5)
     with pytest.raises(ArgumentError, match="no cell"):
         page_html(Map([Level(*[VoxelList.empty(A2)] * 2)]))
 
