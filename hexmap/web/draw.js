@@ -97,6 +97,12 @@ class CellDrawing {
     return this.gl !== null;
   }
 
+  // Forget what belonged to a context that was lost.
+  forget() {
+    this.program = null;
+    this.textures = {};
+  }
+
   compile(kind, source) {
     const { gl } = this, shader = gl.createShader(kind);
     gl.shaderSource(shader, source);

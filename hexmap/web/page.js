@@ -39,6 +39,13 @@ class Pane {
     this.drawing = new CellDrawing(this.canvas);
     this.overlay = new Overlay(this.lines);
     this.loaded = new Map();
+    // Phones take the graphics card away from pages in the background.
+    this.canvas.addEventListener("webglcontextlost", (event) => (event.preventDefault(), this.drawing.forget()));
+    this.canvas.addEventListener("webglcontextrestored", () => {
+      this.drawing.setLevel(this.lattice, this.cells);
+      this.drawing.setEntered(this.answer?.entered ?? null);
+      invalidate();
+    });
   }
 
   // Unpack a level, once, and show it.
@@ -188,8 +195,8 @@ function plan() {
   invalidate();
 }
 
-// Put an end somewhere: without a role the one that is missing, of two the goal.
-function place(point, role = ends.start && !ends.goal ? "goal" : ends.start ? "goal" : "start") {
+// Put an end somewhere: without a role the start if it is missing, else the goal.
+function place(point, role = ends.start ? "goal" : "start") {
   if (inSpace) return;
   ends[role] = point;
   plan();
@@ -215,7 +222,8 @@ function report() {
     $(`ms-${k}`).textContent = r?.ms === undefined ? "–" : `${r.ms.toFixed(1)} ms`;
   });
   const reasons = panes.flatMap((p) => (p.answer?.reason ? [panes.length > 1 ? `${p.map.title}: ${p.answer.reason}` : p.answer.reason] : []));
-  const missing = !ends.start ? "Click or tap to set the start." : !ends.goal ? "Now the goal." : "";
+  const blind = panes.some((pane) => !pane.drawing.works);
+  const missing = blind ? "Without WebGL 2 there is only a picture; give start and goal in numbers." : !ends.start ? "Click or tap to set the start." : !ends.goal ? "Now the goal." : "";
   $("status").textContent = missing || reasons.join(" ") || "Drag A or B to move an end of the path.";
   $("play").disabled = $("time").disabled = !panes.some((pane) => pane.answer?.entered);
   invalidate();

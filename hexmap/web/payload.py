@@ -198,7 +198,7 @@ def level_numbers(level: PageLevel, rule: StateRule) -> tuple[dict[str, Any], st
         "occupied": int(np.count_nonzero(states == CellState.OCCUPIED.value)),
         "free": int(np.count_nonzero(states == CellState.FREE.value)),
     }
-    return numbers, compress(data)
+    return numbers, compress(data, level.states is None)
 
 
 def lattice_numbers(lattice: Lattice) -> dict[str, Any]:

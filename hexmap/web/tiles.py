@@ -99,7 +99,8 @@ def _guess(tile: NDArray[Any]) -> NDArray[Any]:
     return np.where(corner >= high, low, np.where(corner <= low, high, left + above - corner))
 
 
-def compress(data: bytes) -> str:
-    """Return bytes deflated (raw, without header) and in base64."""
-    packer = zlib.compressobj(9 if len(data) <= _THOROUGH else 6, zlib.DEFLATED, -15)
+def compress(data: bytes, predicted: bool) -> str:
+    """Return bytes deflated (raw, without header) and in base64; differences to a prediction are told to be such."""
+    strategy = zlib.Z_FILTERED if predicted else zlib.Z_DEFAULT_STRATEGY
+    packer = zlib.compressobj(9 if len(data) <= _THOROUGH else 6, zlib.DEFLATED, -15, zlib.DEF_MEM_LEVEL, strategy)
     return base64.b64encode(packer.compress(data) + packer.flush()).decode("ascii")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.keys import pack
 from hexmap.lattice.lattice import Lattice
-from hexmap.web.page import page_html, write_page
+from hexmap.web.frame import page_frame
+from hexmap.web.page import write_page
 from tests.lattices import SKEW2, SPATIAL
 from tests.mapping import room_in_space
 from tests.web.conftest import until
@@ -224,11 +224,8 @@ def test_a_map_of_others_and_a_frame_in_a_notebook(tmp_path: Path, opened: Open)
     states = np.ones((40, 30), np.uint8)
     states[20, 3:] = 2
     grid = GridMap(states, 0.1, np.array([5.0, 5.0]), yaw=0.2, y_down=True)
-    frame_of = html.escape(page_html(grid), quote=True)
-    (tmp_path / "notebook.html").write_text(
-        '<!DOCTYPE html><html data-state="ready"><iframe sandbox="allow-scripts" width="600" height="400" '
-        f'srcdoc="{frame_of}"></iframe></html>'
-    )
+    shown = page_frame(grid, pixels=400)._repr_html_()
+    (tmp_path / "notebook.html").write_text(f'<!DOCTYPE html><html data-state="ready">{shown}</html>')
     page = opened(tmp_path / "notebook.html")
     frame = page.frames[1]
     until(frame, "document.documentElement.dataset.state === 'ready'")
@@ -237,6 +234,15 @@ def test_a_map_of_others_and_a_frame_in_a_notebook(tmp_path: Path, opened: Open)
     until(frame, "panes[0].answer && panes[0].answer.cells")
     assert frame.evaluate("panes[0].answer.length") == pytest.approx(6.6)
     assert frame.evaluate("panes[0].toPixels(0, 1)[1] > panes[0].toPixels(0, 0)[1]")
+
+
+def test_the_cells_come_back_after_the_graphics_card_was_taken_away(compared: Path, opened: Open) -> None:
+    page = opened(compared)
+    page.evaluate("card = panes[0].drawing.gl.getExtension('WEBGL_lose_context'); card.loseContext()")
+    until(page, "panes[0].drawing.gl.isContextLost()")
+    page.wait_for_timeout(50)
+    page.evaluate("card.restoreContext()")
+    until(page, f"!panes[0].drawing.gl.isContextLost() && ({STATES})(0).includes(2)")
 
 
 def test_without_webgl_the_picture_is_shown(compared: Path, opened: Open, browser: Any) -> None:
