@@ -104,8 +104,7 @@ class Pane {
     if (!point) return void (this.caption.textContent = "");
     const { state, hits, passes } = this.cells.at(...cell), number = (v) => v.toLocaleString("en");
     const counts = hits === undefined ? "" : `, ${number(hits)} hits, ${number(passes)} passes`;
-    const digits = Math.max(2, Math.ceil(1 - Math.log10(this.lattice.resolution)));
-    const metres = [...point, ...(inSpace ? [view.z] : [])].map((v) => v.toFixed(digits)).join(", ");
+    const metres = [...point, ...(inSpace ? [view.z] : [])].map((v) => v.toFixed(digitsFor(this.lattice))).join(", ");
     this.caption.textContent = `${metres} m · cell (${cell.join(", ")}) ${["unknown", "free", "occupied"][state]}${counts}`;
   }
 
@@ -135,6 +134,9 @@ class Pane {
     if (this.drawing.works && this.cells) this.drawing.setEntered(null);
   }
 }
+
+// Digits behind the point, so that a tenth of a cell shows.
+const digitsFor = (lattice) => Math.max(2, Math.ceil(1 - Math.log10(lattice.resolution)));
 
 function invalidate() {
   frame ||= requestAnimationFrame(() => {
@@ -335,7 +337,7 @@ function onKey(event, pane) {
 function cut(k) {
   view.z = header.heights[k];
   $("height").value = k;
-  $("height-shown").textContent = inSpace ? `${view.z.toFixed(2)} m` : "";
+  $("height-shown").textContent = inSpace ? `${view.z.toFixed(digitsFor(panes[0].lattice))} m` : "";
   invalidate();
 }
 

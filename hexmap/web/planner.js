@@ -163,98 +163,109 @@ class OpenList {
     this.inverse = 1 / width;
     this.slots = 2 ** Math.ceil(Math.log2(span / width + 3));
     this.heads = new Int32Array(this.slots).fill(-1);
-    this.room = 4096;
-    this.key = new Float64Array(this.room);
-    this.cost = new Float64Array(this.room);
-    this.node = new Int32Array(this.room);
-    this.link = new Int32Array(this.room);
-    this.heap = new Int32Array(1024);
+    // Entries that wait, in a list for each bucket.
+    this.waits = { key: new Float64Array(4096), cost: new Float64Array(4096), node: new Int32Array(4096) };
+    this.link = new Int32Array(4096);
+    // The heap, whose numbers lie side by side.
+    this.heap = { key: new Float64Array(1024), cost: new Float64Array(1024), node: new Int32Array(1024) };
     this.count = this.used = this.waiting = 0;
     this.spare = this.turn = -1;
+    this.cost = this.node = 0;
   }
 
   push(key, cost, node) {
-    let entry = this.spare;
-    if (entry >= 0) this.spare = this.link[entry];
-    else if ((entry = this.used++) === this.room) this.grow();
-    this.key[entry] = key;
-    this.cost[entry] = cost;
-    this.node[entry] = node;
     const due = Math.floor(key * this.inverse);
     if (this.turn < 0) this.turn = due;
-    if (due <= this.turn) return this.rise(entry);
+    if (due <= this.turn) return this.rise(key, cost, node);
+    let entry = this.spare;
+    if (entry >= 0) this.spare = this.link[entry];
+    else if ((entry = this.used++) === this.link.length) {
+      this.waits = longer(this.waits);
+      this.link = longer({ link: this.link }).link;
+    }
+    this.waits.key[entry] = key;
+    this.waits.cost[entry] = cost;
+    this.waits.node[entry] = node;
     const slot = due & (this.slots - 1);
     this.link[entry] = this.heads[slot];
     this.heads[slot] = entry;
     this.waiting++;
   }
 
-  grow() {
-    this.room *= 2;
-    for (const name of ["key", "cost", "node", "link"]) {
-      const longer = new this[name].constructor(this.room);
-      longer.set(this[name]);
-      this[name] = longer;
-    }
-  }
-
-  rise(entry) {
-    if (this.count === this.heap.length) {
-      const longer = new Int32Array(2 * this.count);
-      longer.set(this.heap);
-      this.heap = longer;
-    }
-    const { heap, key, cost } = this, k = key[entry], c = cost[entry];
+  rise(k, c, n) {
+    if (this.count === this.heap.key.length) this.heap = longer(this.heap);
+    const { key, cost, node } = this.heap;
     let at = this.count++;
     while (at > 0) {
-      const up = (at - 1) >> 1, other = heap[up];
-      if (key[other] < k || (key[other] === k && cost[other] >= c)) break;
-      heap[at] = other;
+      const up = (at - 1) >> 1;
+      if (key[up] < k || (key[up] === k && cost[up] >= c)) break;
+      key[at] = key[up];
+      cost[at] = cost[up];
+      node[at] = node[up];
       at = up;
     }
-    heap[at] = entry;
+    key[at] = k;
+    cost[at] = c;
+    node[at] = n;
   }
 
-  // The position of the least entry, -1 where there is none. Its numbers are valid until the next push.
+  // Make the heap, which is empty, of the entries of the next bucket that has any.
+  turnOver() {
+    const { key, cost, node } = this.waits, { link } = this;
+    this.turn++;
+    const slot = this.turn & (this.slots - 1);
+    let later = -1;
+    for (let entry = this.heads[slot]; entry >= 0; ) {
+      const next = link[entry];
+      if (Math.floor(key[entry] * this.inverse) > this.turn) {
+        // Of a later round: keys that rise by more than the span share slots.
+        link[entry] = later;
+        later = entry;
+      } else {
+        this.rise(key[entry], cost[entry], node[entry]);
+        this.waiting--;
+        link[entry] = this.spare;
+        this.spare = entry;
+      }
+      entry = next;
+    }
+    this.heads[slot] = later;
+  }
+
+  // Take the least entry: whether there was one; its cost and node are then those of the list.
   pop() {
     while (this.count === 0) {
-      if (this.waiting === 0) return -1;
-      this.turn++;
-      const slot = this.turn & (this.slots - 1);
-      let later = -1;
-      for (let entry = this.heads[slot]; entry >= 0; ) {
-        const next = this.link[entry];
-        if (Math.floor(this.key[entry] * this.inverse) > this.turn) {
-          // Of a later round: keys that rise by more than the span share slots.
-          this.link[entry] = later;
-          later = entry;
-        } else {
-          this.rise(entry);
-          this.waiting--;
-        }
-        entry = next;
-      }
-      this.heads[slot] = later;
+      if (this.waiting === 0) return false;
+      this.turnOver();
     }
-    const { heap, key, cost } = this, top = heap[0], last = heap[--this.count];
-    const k = key[last], c = cost[last], count = this.count;
+    const { key, cost, node } = this.heap, last = --this.count;
+    this.cost = cost[0];
+    this.node = node[0];
+    const k = key[last], c = cost[last];
     let at = 0;
-    for (let down = 1; down < count; down = 2 * at + 1) {
+    for (let down = 1; down < last; down = 2 * at + 1) {
       const right = down + 1;
-      if (right < count) {
-        const l = heap[down], r = heap[right];
-        if (key[r] < key[l] || (key[r] === key[l] && cost[r] > cost[l])) down = right;
-      }
-      const other = heap[down];
-      if (k < key[other] || (k === key[other] && c >= cost[other])) break;
-      heap[at] = other;
+      if (right < last && (key[right] < key[down] || (key[right] === key[down] && cost[right] > cost[down]))) down = right;
+      if (k < key[down] || (k === key[down] && c >= cost[down])) break;
+      key[at] = key[down];
+      cost[at] = cost[down];
+      node[at] = node[down];
       at = down;
     }
-    heap[at] = last;
-    this.link[top] = this.spare;
-    this.spare = top;
-    return top;
+    key[at] = k;
+    cost[at] = c;
+    node[at] = node[last];
+    return true;
   }
+}
+
+// The same arrays, twice as long.
+function longer(arrays) {
+  return Object.fromEntries(Object.entries(arrays).map(([name, short]) => {
+    const long = new short.constructor(2 * short.length);
+    long.set(short);
+    return [name, long];
+  }));
 }
 
 // Whole numbers in the order in which they came.
@@ -326,8 +337,8 @@ function astar(graph, start, goal) {
   touched.push(start);
   open.push(Math.floor(measure(start) * scale + 0.5), 0, start);
   let found = false;
-  for (let entry = open.pop(); entry >= 0; entry = open.pop()) {
-    const a = open.node[entry], d = open.cost[entry];
+  while (open.pop()) {
+    const a = open.node, d = open.cost;
     if (d !== g[a]) continue;
     if (a === goal) {
       found = true;

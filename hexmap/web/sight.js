@@ -118,9 +118,9 @@ function theta(graph, sight, start, goal, limit) {
     return [best, by];
   };
   reach(start, 0, start, SEEN | SURE);
-  for (let entry = open.pop(); entry >= 0; entry = open.pop()) {
-    const a = open.node[entry];
-    if (open.cost[entry] !== g[a]) continue;
+  while (open.pop()) {
+    const a = open.node;
+    if (open.cost !== g[a]) continue;
     if ((mark[a] & SURE) === 0) {
       // Only hoped for so far: now that its turn has come, look.
       mark[a] |= SURE;
@@ -157,7 +157,7 @@ function theta(graph, sight, start, goal, limit) {
       weight = WEIGHTS[stage++];
       most += Math.floor(limit / 4);
       const rest = [];
-      for (let e = open.pop(); e >= 0; e = open.pop()) if (open.cost[e] === g[open.node[e]]) rest.push(open.node[e]);
+      while (open.pop()) if (open.cost === g[open.node]) rest.push(open.node);
       open = makeList();
       rest.map((at) => [key(at, g[at]), at]).sort((m, n) => m[0] - n[0]).forEach(([k, at]) => open.push(k, g[at], at));
     }
