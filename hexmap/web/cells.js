@@ -63,7 +63,8 @@ class Cells {
       this.states = statesBy(rule, this.hits, this.passes);
     }
     // Which number a tile has: 1 for the first, 0 for none.
-    const corners = [0, 1, 2].map((k) => Array.from({ length: this.count }, (_, t) => (k < n ? numbers.tiles[n * t + k] : 0)));
+    const along = (k) => Array.from({ length: this.count }, (_, t) => (k < n ? numbers.tiles[n * t + k] : 0));
+    const corners = [0, 1, 2].map(along);
     this.tableLow = corners.map((v) => v.reduce((low, x) => Math.min(low, x)));
     this.tableShape = corners.map((v, k) => v.reduce((high, x) => Math.max(high, x)) - this.tableLow[k] + 1);
     this.table = new Uint16Array(this.tableShape.reduce((product, v) => product * v));

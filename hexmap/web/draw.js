@@ -6,7 +6,7 @@
 function fragmentProgram(lattice) {
   const { drawn, faces } = lattice.numbers, n = lattice.numbers.basis.length, space = n === 3;
   const vec = (v) => `vec${n}(${v.map((x) => x.toFixed(1)).join(", ")})`;
-  const list = (name, vectors) => `const vec${n} ${name}[${vectors.length}] = vec${n}[](${vectors.map(vec).join(", ")});`;
+  const list = (name, v) => `const vec${n} ${name}[${v.length}] = vec${n}[](${v.map(vec).join(", ")});`;
   return `#version 300 es
 precision highp float;
 precision highp int;

@@ -82,7 +82,8 @@ class Overlay {
     const { pen } = this, room = Math.min(160, width / 3) / view.scale;
     const power = 10 ** Math.floor(Math.log10(room)), metres = [5, 2, 1].find((m) => m * power <= room) * power;
     const long = metres * view.scale, u = 14, v = height - 16;
-    const text = metres >= 1000 ? `${metres / 1000} km` : metres >= 1 ? `${metres} m` : `${+(metres * 100).toPrecision(3)} cm`;
+    const centimetres = `${+(metres * 100).toPrecision(3)} cm`;
+    const text = metres >= 1000 ? `${metres / 1000} km` : metres >= 1 ? `${metres} m` : centimetres;
     pen.font = "12px system-ui, sans-serif";
     pen.textAlign = "left";
     pen.textBaseline = "alphabetic";

@@ -23,120 +23,12 @@ function readColours() {
   for (const name of ["halo", "path", "start", "goal", "trajectory", "accent", "ink", "plate"]) {
     names[name] = style.getPropertyValue(`--${name}`).trim();
   }
-  const numbers = (name) => style.getPropertyValue(`--${name}`).trim().match(/[0-9a-f]{2}/gi).map((v) => parseInt(v, 16) / 255);
   colours = { lines: names, cells: {} };
-  for (const name of ["paper", "free", "wall", "edge", "early", "late"]) colours.cells[name] = numbers(name);
-}
-
-// ---------------------------------------------------------------------- panes
-
-class Pane {
-  constructor(figure, map, name) {
-    Object.assign(this, { figure, map, name, path: null, entered: null, answer: null, asked: null, next: null });
-    this.canvas = figure.querySelector(".cells");
-    this.lines = figure.querySelector(".lines");
-    this.caption = figure.querySelector("output");
-    this.drawing = new CellDrawing(this.canvas);
-    this.overlay = new Overlay(this.lines);
-    this.loaded = new Map();
-    // Phones take the graphics card away from pages in the background.
-    this.canvas.addEventListener("webglcontextlost", (event) => (event.preventDefault(), this.drawing.forget()));
-    this.canvas.addEventListener("webglcontextrestored", () => {
-      this.drawing.setLevel(this.lattice, this.cells);
-      this.drawing.setEntered(this.answer?.entered ?? null);
-      invalidate();
-    });
-  }
-
-  // Unpack a level, once, and show it.
-  async show(k) {
-    const numbers = this.map.levels[k];
-    if (!this.loaded.has(k)) this.loaded.set(k, new Cells(numbers, await unpack($(`cells-${this.name}-${k}`).textContent), this.map.rule));
-    this.numbers = numbers;
-    this.lattice = inSpace ? new SpatialLattice(numbers) : new Lattice(numbers);
-    this.cells = this.loaded.get(k);
-    if (this.drawing.works) this.drawing.setLevel(this.lattice, this.cells);
-    if (!inSpace) worker.postMessage({ kind: "level", name: this.name, numbers, tiles: this.cells.states, settings: settings() });
-  }
-
-  // Pixels of the screen from metres, and back; (0, 0) is the pane's upper left corner.
-  toPixels(x, y) {
-    const { clientWidth: w, clientHeight: h } = this.lines;
-    return [w / 2 + (x - view.x) * view.scale, h / 2 + (view.down ? 1 : -1) * (y - view.y) * view.scale];
-  }
-
-  toMetres(u, v) {
-    const { clientWidth: w, clientHeight: h } = this.lines;
-    return [view.x + (u - w / 2) / view.scale, view.y + ((view.down ? 1 : -1) * (v - h / 2)) / view.scale];
-  }
-
-  resize() {
-    const ratio = devicePixelRatio || 1, { clientWidth: w, clientHeight: h } = this.lines;
-    for (const canvas of [this.canvas, this.lines]) {
-      const width = Math.max(1, Math.round(w * ratio)), height = Math.max(1, Math.round(h * ratio));
-      if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    }
-  }
-
-  draw() {
-    const ratio = devicePixelRatio || 1;
-    if (!this.cells) return;
-    // Lattices of one resolution are shown in the same detail, lest one looks coarser than the other.
-    const detail = Math.max(...panes.map((pane) => (pane.drawing.cells ? pane.drawing.detailFor(view, ratio) : 0)));
-    if (this.drawing.works) this.drawing.draw(view, ratio, detail, colours.cells, Number($("time").value) / 1000);
-    // Where the pointer is on the screen stays when the view moves.
-    const point = pointer?.pane.toMetres(...pointer.at) ?? (this.lines.matches(":focus-visible") ? [view.x, view.y] : null);
-    const hovered = point && this.lattice.quantise(...point, view.z);
-    this.overlay.draw(view, ratio, (x, y) => this.toPixels(x, y), colours.lines, {
-      trajectory, hovered: inSpace ? null : hovered, lattice: this.lattice, path: this.path, ...this.shownEnds(),
-      cross: pointer === null && this.lines.matches(":focus-visible"),
-    });
-    this.describe(point, hovered);
-  }
-
-  // The ends of a path are centres of cells.
-  shownEnds() {
-    const centre = (point) => point && this.lattice.centre(...this.lattice.quantise(...point));
-    return { start: centre(ends.start), goal: centre(ends.goal) };
-  }
-
-  describe(point, cell) {
-    if (!point) return void (this.caption.textContent = "");
-    const { state, hits, passes } = this.cells.at(...cell), number = (v) => v.toLocaleString("en");
-    const counts = hits === undefined ? "" : `, ${number(hits)} hits, ${number(passes)} passes`;
-    const metres = [...point, ...(inSpace ? [view.z] : [])].map((v) => v.toFixed(digitsFor(this.lattice))).join(", ");
-    this.caption.textContent = `${metres} m · cell (${cell.join(", ")}) ${["unknown", "free", "occupied"][state]}${counts}`;
-  }
-
-  // Ask for a path; what is asked while an answer is awaited replaces what waits.
-  ask(question) {
-    if (this.asked !== null) return void (this.next = question);
-    this.asked = question.ticket;
-    const cell = (point) => this.lattice.quantise(...point);
-    worker.postMessage({ ...question, kind: "plan", name: this.name, start: cell(ends.start), goal: cell(ends.goal) });
-  }
-
-  receive(answer) {
-    this.asked = null;
-    if (this.next) {
-      const question = this.next;
-      this.next = null;
-      this.ask(question);
-    }
-    if (answer.ticket < this.cleared) return;
-    this.answer = answer;
-    this.path = answer.cells ? answer.cells.map(([a, b]) => this.lattice.centre(a, b)) : null;
-    if (this.drawing.works) this.drawing.setEntered(answer.entered ?? null);
-  }
-
-  clear() {
-    Object.assign(this, { path: null, answer: null, next: null, cleared: ticket + 1 });
-    if (this.drawing.works && this.cells) this.drawing.setEntered(null);
+  for (const name of ["paper", "free", "wall", "edge", "early", "late"]) {
+    const pairs = style.getPropertyValue(`--${name}`).match(/[0-9a-f]{2}/gi);
+    colours.cells[name] = pairs.map((pair) => parseInt(pair, 16) / 255);
   }
 }
-
-// Digits behind the point, so that a tenth of a cell shows.
-const digitsFor = (lattice) => Math.max(2, Math.ceil(1 - Math.log10(lattice.resolution)));
 
 function invalidate() {
   frame ||= requestAnimationFrame(() => {
@@ -223,10 +115,14 @@ function report() {
     $(`expansions-${k}`).textContent = r?.ms === undefined ? "–" : r.expansions.toLocaleString("en");
     $(`ms-${k}`).textContent = r?.ms === undefined ? "–" : `${r.ms.toFixed(1)} ms`;
   });
-  const reasons = panes.flatMap((p) => (p.answer?.reason ? [panes.length > 1 ? `${p.map.title}: ${p.answer.reason}` : p.answer.reason] : []));
+  const refused = panes.filter((pane) => pane.answer?.reason);
+  const reasons = refused.map(({ map, answer }) => (panes.length > 1 ? `${map.title}: ` : "") + answer.reason);
   const blind = panes.some((pane) => !pane.drawing.works);
-  const missing = blind ? "Without WebGL 2 there is only a picture; give start and goal in numbers." : !ends.start ? "Click or tap to set the start." : !ends.goal ? "Now the goal." : "";
-  $("status").textContent = missing || reasons.join(" ") || "Drag A or B to move an end of the path.";
+  let advice = reasons.join(" ") || "Drag A or B to move an end of the path.";
+  if (!ends.goal) advice = "Now the goal.";
+  if (!ends.start) advice = "Click or tap to set the start.";
+  if (blind && !(ends.start && ends.goal)) advice = "Without WebGL 2 there is a picture only: give both ends in numbers.";
+  $("status").textContent = advice;
   $("play").disabled = $("time").disabled = !panes.some((pane) => pane.answer?.entered);
   invalidate();
 }
@@ -250,87 +146,6 @@ function play() {
     else stopPlaying();
   };
   playing = requestAnimationFrame(step);
-}
-
-// ---------------------------------------------------------------------- pointers and keys
-
-function listen(pane) {
-  const down = new Map();
-  let moved = 0, dragged = null, spread = 0;
-  const { lines } = pane;
-  const place_ = (event) => {
-    const box = lines.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
-  const near = (u, v, reach) => {
-    const shown = pane.shownEnds();
-    return ["goal", "start"].find((role) => shown[role] && Math.hypot(...pane.toPixels(...shown[role]).map((p, k) => p - [u, v][k])) < reach);
-  };
-  lines.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
-    lines.setPointerCapture(event.pointerId);
-    const [u, v] = place_(event);
-    down.set(event.pointerId, [u, v]);
-    moved = down.size > 1 ? Infinity : 0;
-    dragged = down.size === 1 ? near(u, v, event.pointerType === "touch" ? 26 : 14) : null;
-    spread = 0;
-  });
-  lines.addEventListener("pointermove", (event) => {
-    const [u, v] = place_(event), before = down.get(event.pointerId);
-    pointer = { pane, at: [u, v] };
-    if (!before) {
-      lines.style.cursor = near(u, v, 14) ? "grab" : "crosshair";
-      return invalidate();
-    }
-    down.set(event.pointerId, [u, v]);
-    moved += Math.hypot(u - before[0], v - before[1]);
-    if (dragged && moved > 3) place(pane.toMetres(u, v), dragged);
-    else if (down.size === 1 && moved > 4) pan(u - before[0], v - before[1]);
-    else if (down.size === 2) {
-      const [[a, b], [c, d]] = [...down.values()], wide = Math.hypot(a - c, b - d);
-      pan((u - before[0]) / 2, (v - before[1]) / 2);
-      if (spread) zoom(wide / spread, pane, (a + c) / 2, (b + d) / 2);
-      spread = wide;
-    }
-  });
-  const up = (event) => {
-    const [u, v] = place_(event);
-    if (down.delete(event.pointerId) && event.type === "pointerup" && moved <= 4 && !dragged) {
-      place(pane.toMetres(u, v), event.shiftKey ? "start" : undefined);
-    }
-    if (down.size === 0) dragged = null;
-    spread = 0;
-  };
-  lines.addEventListener("pointerup", up);
-  lines.addEventListener("pointercancel", up);
-  lines.addEventListener("pointerleave", () => {
-    pointer = null;
-    invalidate();
-  });
-  lines.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    const lines_ = event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? 400 : 1;
-    zoom(Math.exp(-event.deltaY * lines_ * 0.0016), pane, ...place_(event));
-  }, { passive: false });
-  lines.addEventListener("keydown", (event) => onKey(event, pane));
-  lines.addEventListener("focus", invalidate);
-  lines.addEventListener("blur", invalidate);
-}
-
-function onKey(event, pane) {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  const step = event.shiftKey ? 8 : 60, keys = {
-    ArrowLeft: () => pan(step, 0), ArrowRight: () => pan(-step, 0), ArrowUp: () => pan(0, step), ArrowDown: () => pan(0, -step),
-    "+": () => zoom(1.4, pane), "=": () => zoom(1.4, pane), "-": () => zoom(1 / 1.4, pane), 0: fit,
-    PageUp: () => cut(Math.min(Number($("height").value) + 1, header.heights.length - 1)),
-    PageDown: () => cut(Math.max(Number($("height").value) - 1, 0)),
-    a: () => place([view.x, view.y], "start"), b: () => place([view.x, view.y], "goal"), Escape: clearPath,
-  };
-  const action = keys[event.key] ?? keys[event.key.toLowerCase()];
-  if (!action) return;
-  event.preventDefault();
-  pointer = null;
-  action();
 }
 
 // Show the slice at one of the heights.

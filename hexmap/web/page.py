@@ -36,7 +36,7 @@ __all__ = ["page_html", "planner_source", "write_page"]
 
 # The first three also run in a worker.
 _PLANNER = ("lattice.js", "planner.js", "sight.js", "worker.js")
-_PAGE = ("cells.js", "draw.js", "overlay.js", "page.js")
+_PAGE = ("cells.js", "draw.js", "overlay.js", "pane.js", "input.js", "page.js")
 _STILL = 60.0  # pixels an inch of the picture for browsers without WebGL 2
 _ROWS = {
     "length": "Length",
@@ -205,7 +205,7 @@ def _neighbourhood_words(numbers: Sequence[dict[str, Any]]) -> dict[str, str]:
     """Return the neighbourhoods that every map has, and how many moves each of them has there."""
     counts = [{n["name"]: len(n["moves"]) for n in m["levels"][0]["neighbourhoods"]} for m in numbers]
     return {
-        name: f"{_MOVES[name]}: {' and '.join(str(count[name]) for count in counts)}"
+        name: f"{_MOVES[name]}: {', '.join(str(count[name]) for count in counts)}"
         for name in counts[0]
         if all(name in count for count in counts)
     }

@@ -45,7 +45,7 @@ class Graph {
   // The offsets within a distance of a cell, row by row: [a, b, distance of the centre to the cell].
   ball(limit) {
     const { lattice } = this.window, wide = limit + lattice.numbers.covering, found = [];
-    const reach = [Math.hypot(lattice.ip, lattice.iq), Math.hypot(lattice.ir, lattice.is)].map((v) => Math.floor(v * wide));
+    const reach = lattice.inverse.map((row) => Math.floor(Math.hypot(...row) * wide));
     for (let a = -reach[0]; a <= reach[0]; a++) {
       for (let b = -reach[1]; b <= reach[1]; b++) {
         const x = lattice.p * a + lattice.q * b, y = lattice.r * a + lattice.s * b;
@@ -106,12 +106,12 @@ class Graph {
 
   // The least distance, metres, from the centres of flat cells to an occupied cell; Infinity where there is none.
   clearance(cells) {
-    const { window } = this, { lattice } = window, side = 16;
+    const { window } = this, side = 16;
     this._blocks ??= blocksOf(this.surface, window, side);
     let best = Infinity;
     for (const at of cells) {
       const [a, b] = window.index(at);
-      best = Math.min(best, nearestBody(this._blocks, window, lattice, side, a - window.low[0], b - window.low[1], best));
+      best = nearestBody(this._blocks, window, side, a - window.low[0], b - window.low[1], best);
     }
     return best;
   }
@@ -133,8 +133,8 @@ function blocksOf(cells, window, side) {
 }
 
 // The distance from the cell (i, j) of the window to the nearest cell in blocks, or one of at least "best".
-function nearestBody({ starts, listed, across, down }, window, lattice, side, i, j, best) {
-  const bi = Math.floor(i / side), bj = Math.floor(j / side), covering = lattice.numbers.covering;
+function nearestBody({ starts, listed, across, down }, window, side, i, j, best) {
+  const bi = Math.floor(i / side), bj = Math.floor(j / side), { lattice } = window, { covering } = lattice.numbers;
   for (let ring = 0; ring <= Math.max(across, down); ring++) {
     if (((ring - 1) * side + 1) * lattice.height - covering >= best) break;
     for (let u = bi - ring; u <= bi + ring; u++) {
@@ -244,8 +244,8 @@ class OpenList {
     const k = key[last], c = cost[last];
     let at = 0;
     for (let down = 1; down < last; down = 2 * at + 1) {
-      const right = down + 1;
-      if (right < last && (key[right] < key[down] || (key[right] === key[down] && cost[right] > cost[down]))) down = right;
+      const right = down + 1, k2 = right < last ? key[right] : Infinity;
+      if (k2 < key[down] || (k2 === key[down] && cost[right] > cost[down])) down = right;
       if (k < key[down] || (k === key[down] && c >= cost[down])) break;
       key[at] = key[down];
       cost[at] = cost[down];
@@ -291,8 +291,8 @@ class Listing {
 
 // ---------------------------------------------------------------------- A*
 
-// Rows p with max |p v| = the gauge of v in the hull of {move / its length}: a cost that no path undercuts. In the plane
-// the moves divided by their lengths lie on a circle, so that neighbours in angle span the facets.
+// Rows p with max |p v| = the gauge of v in the hull of {move / its length}: a cost that no path undercuts. In the
+// plane the moves divided by their lengths lie on a circle, so that neighbours in angle span the facets.
 function gaugePlanes(window, lengths) {
   const { lattice, moves } = window;
   const angle = ([a, b]) => Math.atan2(lattice.r * a + lattice.s * b, lattice.p * a + lattice.q * b);
@@ -303,8 +303,9 @@ function gaugePlanes(window, lengths) {
     const u = (lengths[k] * d - lengths[n] * b) / det, v = (lengths[n] * a - lengths[k] * c) / det;
     if (u > 1e-12 || (Math.abs(u) <= 1e-12 && v > 0)) planes.push([u, v]);
   });
-  let excess = 1;
-  moves.forEach(([a, b], k) => planes.forEach(([u, v]) => (excess = Math.max(excess, Math.abs(u * a + v * b) / lengths[k]))));
+  // What was rounded away must not let a single move be estimated above its cost.
+  const shares = moves.flatMap(([a, b], k) => planes.map(([u, v]) => Math.abs(u * a + v * b) / lengths[k]));
+  const excess = Math.max(1, ...shares);
   return planes.map(([u, v]) => [u / excess, v / excess]);
 }
 
@@ -317,7 +318,8 @@ function astar(graph, start, goal) {
   const planes = gaugePlanes(window, lengths).map(([u, v]) => [u * graph.least, v * graph.least]);
   const many = planes.length, count = moves.length;
   const steps = Float64Array.from(moves.flatMap(([a, b]) => planes.map(([u, v]) => u * a + v * b)));
-  const base = new Float64Array(many), us = Float64Array.from(planes, (p) => p[0]), vs = Float64Array.from(planes, (p) => p[1]);
+  const us = Float64Array.from(planes, (p) => p[0]), vs = Float64Array.from(planes, (p) => p[1]);
+  const base = new Float64Array(many);
   const goalI = Math.floor(goal / stride), goalJ = goal - goalI * stride;
   const scale = KEY_STEPS / (shortest * graph.least);
   const span = Math.max(...lengths) * graph.most * 2 * scale;

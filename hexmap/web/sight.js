@@ -64,44 +64,57 @@ const ROUNDS = 20; // of making a path taut
 function anyAngle(graph, start, goal) {
   const moved = astar(graph, start, goal);
   if (moved.path === null || start === goal) return moved;
-  const sight = new Sight(graph), found = theta(graph, sight, start, goal, Math.max(1024, moved.expansions));
+  const sight = new Sight(graph), found = new Theta(graph, sight, goal, Math.max(1024, moved.expansions)).run(start);
   const length = (path) => path.reduce((sum, at, k) => (k ? sum + sight.distance(path[k - 1], at) : 0), 0);
   let path = tighten(graph, sight, found.path);
   if (length(path) > length(moved.path)) path = tighten(graph, sight, moved.path);
   return { path, entered: found.entered, expansions: found.expansions };
 }
 
-// Lazy Theta* (Nash, Koenig and Tovey, 2010); a cell whose parent does not see it also tries its neighbours' parents, and
-// is opened again where a shorter way to it turns up. There is a path.
-function theta(graph, sight, start, goal, limit) {
-  const { free, window } = graph, { offsets, lengths, swept, sweptStarts } = window;
-  const { g, parent, mark } = window.scratch, touched = new Listing(), entered = new Listing();
-  const shortest = Math.min(...window.lengths), scale = KEY_STEPS / shortest;
-  let weight = 1, stage = 0, most = limit;
-  const key = (at, cost) => Math.floor((cost + weight * sight.distance(at, goal)) * scale + 0.5);
-  const makeList = () => {
-    const span = Math.max(...window.lengths) * 4 * scale;
-    return new OpenList(KEY_STEPS / BUCKETS_A_MOVE, span + 64 * KEY_STEPS);
-  };
-  const shut = (from, k) => {
-    for (let s = sweptStarts[k]; s < sweptStarts[k + 1]; s++) if (free[from + swept[s]] === 0) return true;
+// Lazy Theta* (Nash, Koenig and Tovey, 2010); a cell whose parent does not see it also tries its neighbours' parents,
+// and is opened again where a shorter way to it turns up.
+class Theta {
+  // limit: cells that may be entered before the straight distance gets a weight.
+  constructor(graph, sight, goal, limit) {
+    const { window } = graph;
+    Object.assign(this, { sight, goal, window, free: graph.free, weight: 1, stage: 0, limit, most: limit });
+    Object.assign(this, window.scratch); // g, parent and mark
+    this.scale = KEY_STEPS / Math.min(...window.lengths);
+    this.touched = new Listing();
+    this.entered = new Listing();
+    this.makeList();
+  }
+
+  makeList() {
+    this.open = new OpenList(KEY_STEPS / BUCKETS_A_MOVE, Math.max(...this.window.lengths) * 4 * this.scale);
+  }
+
+  key(at) {
+    return Math.floor((this.g[at] + this.weight * this.sight.distance(at, this.goal)) * this.scale + 0.5);
+  }
+
+  reach(at, cost, by, state) {
+    if (this.mark[at] === 0) this.touched.push(at);
+    this.g[at] = cost;
+    this.parent[at] = by;
+    this.mark[at] = state;
+    this.open.push(this.key(at), cost, at);
+  }
+
+  // Whether something stands in the way of a move from a cell.
+  shut(from, move) {
+    const { swept, sweptStarts } = this.window;
+    for (let s = sweptStarts[move]; s < sweptStarts[move + 1]; s++) if (this.free[from + swept[s]] === 0) return true;
     return false;
-  };
-  let open = makeList();
-  const reach = (at, cost, by, state) => {
-    if (mark[at] === 0) touched.push(at);
-    g[at] = cost;
-    parent[at] = by;
-    mark[at] = state;
-    open.push(key(at, cost), cost, at);
-  };
-  // The best parent that is known to see a cell: an expanded neighbour, or the parent of one.
-  const findParent = (at, refused) => {
+  }
+
+  // The best parent that is known to see a cell, with the cost by it: an expanded neighbour, or the parent of one.
+  findParent(at) {
+    const { g, mark, parent, sight } = this, { offsets, lengths } = this.window, tried = [parent[at]];
     let best = Infinity, by = -1;
-    const tried = [refused];
     for (let k = 0; k < offsets.length; k++) {
       const from = at - offsets[k];
-      if ((mark[from] & EXPANDED) === 0 || g[from] + lengths[k] >= best || shut(from, k)) continue;
+      if ((mark[from] & EXPANDED) === 0 || g[from] + lengths[k] >= best || this.shut(from, k)) continue;
       best = g[from] + lengths[k];
       by = from;
     }
@@ -116,56 +129,61 @@ function theta(graph, sight, start, goal, limit) {
       }
     }
     return [best, by];
-  };
-  reach(start, 0, start, SEEN | SURE);
-  while (open.pop()) {
-    const a = open.node;
-    if (open.cost !== g[a]) continue;
-    if ((mark[a] & SURE) === 0) {
-      // Only hoped for so far: now that its turn has come, look.
-      mark[a] |= SURE;
-      if (!sight.sees(parent[a], a)) {
-        const [cost, by] = findParent(a, parent[a]);
-        reach(a, cost, by, mark[a]);
-        continue;
-      }
-    }
-    if (a === goal) break;
+  }
+
+  // Try all moves from a cell: straight on from its parent, or where that does not see their ends, from the cell.
+  expand(a) {
+    const { free, g, mark, parent, sight } = this, { offsets, lengths } = this.window, p = parent[a];
     mark[a] |= EXPANDED;
-    entered.push(a);
-    const p = parent[a];
+    this.entered.push(a);
     for (let k = 0; k < offsets.length; k++) {
       const b = a + offsets[k];
       if (free[b] === 0 || b === p || (mark[b] !== 0 && parent[b] === p)) continue;
-      let cost = g[p] + sight.distance(p, b);
-      if ((mark[b] !== 0 && cost >= g[b] * BETTER) || shut(a, k)) continue;
-      if ((mark[b] & SURE) === 0) {
-        reach(b, cost, p, SEEN);
-        continue;
-      }
+      const cost = g[p] + sight.distance(p, b);
+      if ((mark[b] !== 0 && cost >= g[b] * BETTER) || this.shut(a, k)) continue;
       // What a line is known to give is not replaced by what is only hoped for.
-      let by = p;
-      if (!sight.sees(p, b)) {
-        by = a;
-        cost = g[a] + lengths[k];
-        if (cost >= g[b] * BETTER) continue;
-      }
-      reach(b, cost, by, mark[b]);
-    }
-    if (entered.length > most && stage < WEIGHTS.length) {
-      // In sparse fields hardly any cell is much worse than the best: go on with a weight.
-      weight = WEIGHTS[stage++];
-      most += Math.floor(limit / 4);
-      const rest = [];
-      while (open.pop()) if (open.cost === g[open.node]) rest.push(open.node);
-      open = makeList();
-      rest.map((at) => [key(at, g[at]), at]).sort((m, n) => m[0] - n[0]).forEach(([k, at]) => open.push(k, g[at], at));
+      if ((mark[b] & SURE) === 0) this.reach(b, cost, p, SEEN);
+      else if (sight.sees(p, b)) this.reach(b, cost, p, mark[b]);
+      else if (g[a] + lengths[k] < g[b] * BETTER) this.reach(b, g[a] + lengths[k], a, mark[b]);
     }
   }
-  const path = [goal];
-  for (let at = goal; at !== start; path.push(at)) at = parent[at];
-  for (let k = 0; k < touched.length; k++) mark[touched.values[k]] = 0;
-  return { path: path.reverse(), entered: entered.done(), expansions: entered.length };
+
+  // Go on with a weight: in sparse fields hardly any cell is much worse than the best.
+  weigh() {
+    this.weight = WEIGHTS[this.stage++];
+    this.most += Math.floor(this.limit / 4);
+    const rest = [];
+    while (this.open.pop()) if (this.open.cost === this.g[this.open.node]) rest.push(this.open.node);
+    this.makeList();
+    const keyed = rest.map((at) => [this.key(at), at]).sort((m, n) => m[0] - n[0]);
+    for (const [key, at] of keyed) this.open.push(key, this.g[at], at);
+  }
+
+  // The path from a flat cell to the goal, which there is.
+  run(start) {
+    const { g, mark, parent, goal } = this;
+    this.reach(start, 0, start, SEEN | SURE);
+    while (this.open.pop()) {
+      const a = this.open.node;
+      if (this.open.cost !== g[a]) continue;
+      if ((mark[a] & SURE) === 0) {
+        // Only hoped for so far: now that its turn has come, look.
+        mark[a] |= SURE;
+        if (!this.sight.sees(parent[a], a)) {
+          const [cost, by] = this.findParent(a);
+          this.reach(a, cost, by, mark[a]);
+          continue;
+        }
+      }
+      if (a === goal) break;
+      this.expand(a);
+      if (this.entered.length > this.most && this.stage < WEIGHTS.length) this.weigh();
+    }
+    const path = [goal];
+    for (let at = goal; at !== start; path.push(at)) at = parent[at];
+    for (let k = 0; k < this.touched.length; k++) mark[this.touched.values[k]] = 0;
+    return { path: path.reverse(), entered: this.entered.done(), expansions: this.entered.length };
+  }
 }
 
 // Leave out turning cells, and move them by a step or two, as long as that shortens the path.

@@ -50,7 +50,8 @@ function answer(map, question) {
     path.forEach((flat, k) => k && sight.sees(path[k - 1], flat, listed));
     met = [...listed.done(), from];
   }
-  return { ...numbers, cells, ...measure(cells.map(([a, b]) => window.lattice.centre(a, b))), clearance: graph.clearance(met) };
+  const points = cells.map(([a, b]) => window.lattice.centre(a, b));
+  return { ...numbers, cells, ...measure(points), clearance: graph.clearance(met) };
 }
 
 // Length, metres, and turning, radians, of a polyline.
@@ -71,7 +72,7 @@ function warmUp(map, settings) {
     // A search over nothing but free cells, so that the code is compiled by the time it is wanted.
     const small = new Window(map.lattice, map.numbers.neighbourhoods[0], [0, 0], [79, 79]);
     const states = small.fill(80, [0, 0], new Uint8Array(6400).fill(1)), corner = small.flat(0, 0);
-    for (let k = 0; k < 8; k++) astar(new Graph(small, states), k % 2 ? corner : small.flat(0, 79), small.flat(79, 9 * k));
+    for (let k = 0; k < 8; k++) astar(new Graph(small, states), corner, small.flat(79, 9 * k));
   } catch (error) {
     if (!(error instanceof RangeError)) throw error;
   }

@@ -181,7 +181,7 @@ def test_nothing_is_loaded_and_only_the_pages_own_scripts_run(parts: Parts) -> N
 
     rules = dict(rule.strip().split(" ", 1) for rule in parts.policy.split(";"))
     assert rules["default-src"] == "'none'"
-    assert rules["script-src"].split() == [*map(source, parts.run), "blob:"]
+    assert rules["script-src"].split() == [*map(source, parts.run)]
     assert rules["style-src"].split() == [*map(source, parts.styles)]
 
 
