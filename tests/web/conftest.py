@@ -51,7 +51,7 @@ def opened(browser: Any) -> Iterator[Callable[..., Any]]:
     assert said == []
 
 
-def until(page: Any, expression: str, seconds: float = 30.0) -> None:
+def until(page: Any, expression: str, seconds: float = 60.0) -> None:
     """Wait until an expression is true. The page's policy lets nothing evaluate text within it, so it is asked."""
     end = time.monotonic() + seconds
     while not page.evaluate(expression):

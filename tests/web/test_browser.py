@@ -131,9 +131,12 @@ def test_a_path_on_both_lattices_by_two_clicks(compared: Path, opened: Open) -> 
         assert page.evaluate("k => panes[k].answer.length", k) == pytest.approx(path.length, abs=1e-9)
         assert page.inner_text(f"#length-{k}") == f"{path.length:.2f} m"
     # What was entered can be played back.
+    assert all(3 in page.evaluate(STATES, k) for k in (0, 1))
     page.click("#play")
-    until(page, "Number(document.getElementById('time').value) >= 1000")
-    page.keyboard.press("Escape")
+    until(page, "playing && document.getElementById('time').value < 900")
+    until(page, "!playing && document.getElementById('time').value == 1000")
+    page.click("#clear")
+    assert not any(3 in page.evaluate(STATES, k) for k in (0, 1))
 
 
 def test_settings_change_the_path(compared: Path, opened: Open) -> None:
@@ -218,6 +221,14 @@ def test_it_fits_phones_and_windows_that_change(compared: Path, opened: Open) ->
             assert {1, 2} <= set(page.evaluate(STATES, k))
     page.locator(".lines").first.tap(position={"x": 50, "y": 60})
     until(page, "ends.start !== null")
+    # Two fingers that move apart.
+    before = page.evaluate("view.scale")
+    fingers = page.context.new_cdp_session(page)
+    for kind, apart in (("touchStart", 20), ("touchMove", 25), ("touchMove", 35), ("touchMove", 50), ("touchEnd", 0)):
+        points = [{"x": 150 + s * apart, "y": 200, "id": s} for s in (-1, 1)] if apart else []
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    until(page, f"view.scale > 1.3 * {before}")
+    assert page.evaluate("ends.goal") is None
 
 
 def test_a_map_of_others_and_a_frame_in_a_notebook(tmp_path: Path, opened: Open) -> None:
