@@ -34,7 +34,7 @@ def page(
     ] = None,
     slice: Annotated[
         Any,
-        typer.Option("--slice", parser=parse_height, metavar="z=M", help="Of a map in space: first slice."),
+        typer.Option("--slice", parser=parse_height, metavar="z=M", help="Where to cut a map in space first."),
     ] = None,
     title: Annotated[str | None, typer.Option(help="What it is called.", show_default="the map's file name")] = None,
     min_hits: MinHits = None,
@@ -43,13 +43,20 @@ def page(
     crop: clouds.Crop = None,
 ) -> None:
     """Write a map as one HTML file to look and plan in, in any browser and without a network."""
-    from hexmap.web.page import write_page
+    from hexmap.io.grids.grid_map import GridMap
+    from hexmap.web.page import check_suffix, write_page
 
     map = found(map)
     inputs = inputs_of(map) if trajectory is None else (*inputs_of(map), trajectory)
     check_outputs({"--output": output}, inputs)
+    check_suffix(output)
     first_run_note()
     source, rule = _read(map, cell, min_hits, min_ratio, crop)
+    in_space = (source.dim if isinstance(source, GridMap) else source.lattice.dim) == 3
+    if in_space and slice is None:
+        raise typer.BadParameter(f"{map}: a map in space is shown in slices; say where to begin, with --slice z=M")
+    if slice is not None and not in_space:
+        raise typer.BadParameter(f"{map}: --slice is for maps in space, and this one is in the plane")
     poses: Any = None
     if trajectory is not None:
         from hexmap.io.trajectories import read_trajectory

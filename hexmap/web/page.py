@@ -32,7 +32,7 @@ from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.trajectory import Trajectory
 from hexmap.web.payload import PageLevel, PageMap, heights_of, level_numbers, on_lattice, page_map, trajectory_runs
 
-__all__ = ["page_html", "planner_source", "write_page"]
+__all__ = ["check_suffix", "page_html", "planner_source", "write_page"]
 
 # The first three also run in a worker.
 _PLANNER = ("lattice.js", "planner.js", "sight.js", "worker.js")
@@ -79,12 +79,21 @@ def write_page(
         FileAccessError: the file cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise ArgumentError(f"{path}: a page is written as .html, not {path.suffix or 'a file without a suffix'}")
+    check_suffix(path)
     html = page_html(source, trajectory=trajectory, compare=compare, rule=rule, title=title or path.stem, height=height)
     with atomic_write(path) as file:
         file.write(html.encode("utf-8"))
     return path
+
+
+def check_suffix(path: Path) -> None:
+    """Check that a page is called one.
+
+    Raises:
+        ArgumentError: its suffix is another.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise ArgumentError(f"{path}: a page is written as .html, not {path.suffix or 'a file without a suffix'}")
 
 
 def page_html(

@@ -242,3 +242,6 @@ def test_the_command_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "m.parquet" in made.text
     assert main([*arguments[:4], "--compare", "D3"]) == 2 and "D3" in capsys.readouterr().err
     assert main([*arguments[:4], "--cell", "2"]) == 2 and "--cell" in capsys.readouterr().err
+    assert main([*arguments[:4], "--slice", "1"]) == 2 and "in the plane" in capsys.readouterr().err
+    assert main([*arguments[:3], str(tmp_path / "m.txt")]) == 2 and "m.txt" in capsys.readouterr().err
+    assert not (tmp_path / "m.txt").exists()
