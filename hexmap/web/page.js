@@ -80,8 +80,9 @@ function plan() {
   $("weight-shown").textContent = $("weight").value;
   for (const role of ["start", "goal"]) {
     if (document.activeElement !== $(`${role}-x`) && document.activeElement !== $(`${role}-y`)) {
-      $(`${role}-x`).value = ends[role] ? ends[role][0].toFixed(2) : "";
-      $(`${role}-y`).value = ends[role] ? ends[role][1].toFixed(2) : "";
+      const [x, y] = ends[role]?.map((v) => v.toFixed(2).replace("-0.00", "0.00")) ?? ["", ""];
+      $(`${role}-x`).value = x;
+      $(`${role}-y`).value = y;
     }
   }
   if (ends.start && ends.goal) panes.forEach((pane) => pane.ask({ ticket, ...settings() }));

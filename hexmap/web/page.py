@@ -32,9 +32,9 @@ from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.trajectory import Trajectory
 from hexmap.web.payload import PageLevel, PageMap, heights_of, level_numbers, on_lattice, page_map, trajectory_runs
 
-__all__ = ["check_suffix", "page_html", "planner_source", "write_page"]
+__all__ = ["check_suffix", "page_html", "write_page"]
 
-# The first three also run in a worker.
+# The first run in a worker.
 _PLANNER = ("lattice.js", "planner.js", "sight.js", "worker.js")
 _PAGE = ("cells.js", "draw.js", "overlay.js", "pane.js", "input.js", "page.js")
 _STILL = 60.0  # pixels an inch of the picture for browsers without WebGL 2
@@ -121,7 +121,7 @@ def page_html(
         "trajectory": trajectory_runs(trajectory, first.levels[0].lattice.resolution),
         "maps": numbers,
     }
-    planner, script = planner_source(), _sources(_PAGE)
+    planner, script = _sources(_PLANNER), _sources(_PAGE)
     style = _sources(("page.css",))
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     text = (resources.files("hexmap.web") / "page.html.jinja").read_text(encoding="utf-8")
@@ -143,11 +143,6 @@ def page_html(
         hashes=[Markup(_hash(planner)), Markup(_hash(script))],
         style_hash=Markup(_hash(style)),
     )
-
-
-def planner_source() -> str:
-    """Return the script that plans, as the page's worker runs it; by itself it also runs in Node."""
-    return _sources(_PLANNER)
 
 
 def _sources(names: Sequence[str]) -> str:

@@ -100,7 +100,8 @@ def page_map(source: Map | GridMap, rule: StateRule | None = None) -> PageMap:
     else:
         columns = [(level.lattice, *level.columns()) for level in source.levels]
         levels = [PageLevel(on, (0.0,) * dim, unpack(keys, dim), hits, passes) for on, keys, hits, passes in columns]
-    if len(levels[0].index) == 0:
+    levels = [level for level in levels if len(level.index)]
+    if not levels:
         raise ArgumentError("no cell of the map is free or occupied, which leaves nothing to show")
     y_down = isinstance(source, GridMap) and source.y_down
     return PageMap(levels[0].lattice.title, tuple(levels), rule or StateRule(), y_down)
@@ -130,7 +131,7 @@ def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) ->
 
     Raises:
         LatticeError: there is no lattice of that name.
-        ArgumentError: it is of another dimension.
+        ArgumentError: it is of another dimension, or none of its cells is known.
     """
     levels = []
     for k, level in enumerate(world.levels):
@@ -138,6 +139,8 @@ def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) ->
         if on.dim != level.lattice.dim:
             raise ArgumentError(f"the map is of dimension {level.lattice.dim}, the lattice {on.name} of {on.dim}")
         levels.append(_rasterised(source, on) if isinstance(source, GridMap) else _resampled(level, on))
+        if len(levels[-1].index) == 0:
+            raise ArgumentError(f"no known cell of the map holds the centre of a cell of {on!r}")
     return PageMap(levels[0].lattice.title, tuple(levels), world.rule, world.y_down)
 
 
@@ -189,8 +192,8 @@ def level_numbers(level: PageLevel, rule: StateRule) -> tuple[dict[str, Any], st
     numbers = {
         **lattice_numbers(lattice),
         "origin": list(level.origin),
-        "low": level.index.min(axis=0, initial=2**31 - 1).tolist(),
-        "high": level.index.max(axis=0, initial=-(2**31)).tolist(),
+        "low": level.index.min(axis=0).tolist(),
+        "high": level.index.max(axis=0).tolist(),
         "side": tiles.side,
         "tiles": tiles.corners.ravel().tolist(),
         "planes": planes,

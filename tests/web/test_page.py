@@ -18,13 +18,16 @@ from hexmap.base.errors import ArgumentError, BoundsError
 from hexmap.cli import main
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.io.map_file import save_map
+from hexmap.lattice.keys import unpack
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
+from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.web.page import page_html, write_page
 from hexmap.web.payload import candidates, on_lattice, page_map, trajectory_runs
 from tests.lattices import CASES, SPATIAL
 from tests.mapping import room_in_space
+from tests.web.node import needs_node, run
 from tests.web.worlds import rooms
 
 SHEARED = Lattice([[1.0, 7.0], [0.0, 1.0]], "sheared squares")
@@ -126,6 +129,31 @@ def test_counts_of_many_bytes_survive_and_too_large_ones_are_refused() -> None:
         page_html(of(2**60))
 
 
+@needs_node
+@pytest.mark.parametrize("name", ["A2", "D3"])
+def test_the_page_reads_what_is_in_it_and_knows_the_rule(name: str, tmp_path: Path) -> None:
+    lattice = Lattice.named(name, 0.1)
+    rng = np.random.default_rng(5)
+    index = rng.integers(-40, 40, (900, lattice.dim))
+    index[:, 2:] //= 20
+    # Counts of one byte and of five, and shares that are exactly the rule's.
+    lists = [
+        VoxelList.from_cells(index[rng.random(900) < 0.7], lattice),
+        VoxelList.from_cells(index[:300], lattice, rng.integers(1, 2**40, 300)),
+    ]
+    tens = VoxelList.from_cells(index[:50], lattice, np.full(50, 28))
+    rest = VoxelList.from_cells(index[:50], lattice, np.full(50, 72))
+    for hits, passes in ((lists[0], lists[1]), (lists[1], lists[0]), (tens, rest)):
+        world, rule = Map([Level(hits, passes)]), StateRule(min_hits=2, min_ratio=0.28, min_passes=3)
+        made = Parts(page_html(world, rule=rule, height=0.0 if lattice.dim == 3 else None))
+        given = {"header": json.loads(made.scripts["header"]), "texts": [made.scripts["cells-0-0"]]}
+        (cells,) = run(tmp_path, ["cells.js"], "decode.js", given)
+        keys, h, p = world.levels[0].columns()
+        known = unpack(keys, lattice.dim)
+        want = sorted(zip(known.tolist(), world.state(rule).of(known).tolist(), h.tolist(), p.tolist(), strict=True))
+        assert sorted(map(tuple, cells)) == want
+
+
 def test_a_map_of_others_keeps_its_squares_where_they_are() -> None:
     states = np.array([[0, 1, 2], [1, 1, 2]], np.uint8)
     grid = GridMap(states, 0.5, np.array([10.0, -3.0]), yaw=0.3)
@@ -225,6 +253,9 @@ def test_what_cannot_be_shown_is_refused(tmp_path: Path) -> None:
         page_html(Map([Level(cell, VoxelList.empty(SPATIAL[0].lattice))]))
     with pytest.raises(ArgumentError, match=r"0\.5 m"):
         page_html(rooms(A2, 1), height=0.5)
+    one = VoxelList.from_cells(np.array([[3, 4]]), A2)
+    with pytest.raises(ArgumentError, match="holds the centre"):
+        page_html(Map([Level(one, VoxelList.empty(A2))]), compare=Lattice.named("Z2", 10.0))
     with pytest.raises(ArgumentError, match="no cell"):
         page_html(Map([Level(*[VoxelList.empty(A2)] * 2)]))
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +14,11 @@ from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
-from hexmap.web.page import planner_source
 from hexmap.web.payload import lattice_numbers
 from tests.lattices import LONG, PLANAR
+from tests.web.node import needs_node, run
 
-NODE = shutil.which("node")
-pytestmark = pytest.mark.skipif(NODE is None, reason="needs Node (node), which is not installed")
+pytestmark = needs_node
 
 SHEARED = Lattice([[1.0, 3.0], [0.0, 1.0]], "sheared squares")
 LATTICES = [*(case.lattice for case in PLANAR), SHEARED]
@@ -59,11 +55,7 @@ def in_node(
         "settings": settings,
         "queries": queries,
     }
-    script = folder / "plan.js"
-    script.write_text(planner_source() + (Path(__file__).parent / "plan_many.js").read_text())
-    assert NODE is not None
-    run = subprocess.run([NODE, script], input=json.dumps(given), capture_output=True, text=True, check=True)
-    return json.loads(run.stdout)
+    return run(folder, ["lattice.js", "planner.js", "sight.js"], "plan_many.js", given)
 
 
 def answer_of(plan: Any, graph: LatticeGraph, start: list[int], goal: list[int]) -> Any:
