@@ -5,8 +5,21 @@
 // horizontally: of each pixel's point, whose height is that of the slice, the nearest centre in space is found.
 function fragmentProgram(lattice) {
   const { drawn, faces } = lattice.numbers, n = lattice.numbers.basis.length, space = n === 3;
-  const vec = (v) => `vec${n}(${v.map((x) => x.toFixed(1)).join(", ")})`;
-  const list = (name, v) => `const vec${n} ${name}[${v.length}] = vec${n}[](${v.map(vec).join(", ")});`;
+  const metres = (v) => lattice.numbers.basis.map((row) => row.reduce((sum, x, k) => sum + x * v[k], 0));
+  // Of opposite faces one: the normals in the plane that is drawn, and how far the faces are from the centre in it. A
+  // face that lies flat is no border in a horizontal plane.
+  const normals = [], halves = [];
+  for (const v of faces.filter((face) => face.find((x) => x !== 0) > 0).map(metres)) {
+    const across = Math.hypot(v[0], v[1]), squared = v.reduce((sum, x) => sum + x * x, 0);
+    if (across <= 1e-6 * Math.sqrt(squared)) continue;
+    normals.push(v.map((x) => x / across));
+    halves.push([(0.5 * squared) / across]);
+  }
+  const vec = (v) => (v.length > 1 ? `vec${v.length}` : "float") + `(${v.map((x) => x.toExponential(9)).join(", ")})`;
+  const list = (name, v) => {
+    const type = v[0].length > 1 ? `vec${v[0].length}` : "float";
+    return `const ${type} ${name}[${v.length}] = ${type}[](${v.map(vec).join(", ")});`;
+  };
   return `#version 300 es
 precision highp float;
 precision highp int;
@@ -14,7 +27,9 @@ precision highp usampler2DArray;
 precision highp usampler2D;
 precision highp usampler3D;
 ${list("CANDIDATES", drawn)}
-${list("FACES", faces)}
+${list("CENTRES", drawn.map(metres))}
+${list("NORMALS", normals)}
+${list("HALVES", halves)}
 uniform usampler2DArray states;
 uniform usampler3D tiles;
 uniform usampler2D entered;
@@ -49,10 +64,10 @@ void main() {
   // Coordinates relative to the cell at the view's centre: near it they are exact however far away the origin is.
   vec2 away = (gl_FragCoord.xy - middle) * metresPerPixel;
   vec${n} u = fraction + inverse * ${space ? "vec3(away, 0.0)" : "away"};
-  vec${n} low = floor(u), rest = u - low, found = vec${n}(0.0), off = found;
+  vec${n} low = floor(u), rest = basis * (u - low), found = vec${n}(0.0), off = found;
   float best = 1e30;
   for (int k = 0; k < CANDIDATES.length(); k++) {
-    vec${n} x = basis * (rest - CANDIDATES[k]);
+    vec${n} x = rest - CENTRES[k];
     float d = dot(x, x);
     if (d < best) { best = d; found = CANDIDATES[k]; off = x; }
   }
@@ -63,12 +78,7 @@ void main() {
   if (time > 0.0 && time <= now && state != 2u) shade = mix(shade, mix(early, late, time), 0.75);
   if (outline > 0.0) {
     float border = 1e30;
-    for (int k = 0; k < FACES.length(); k++) {
-      vec${n} v = basis * FACES[k];
-      // A face that lies flat is no border in a horizontal plane.
-      float across = length(v.xy);
-      if (across > 1e-6 * length(v)) border = min(border, (0.5 * dot(v, v) - dot(off, v)) / across);
-    }
+    for (int k = 0; k < HALVES.length(); k++) border = min(border, HALVES[k] - abs(dot(off, NORMALS[k])));
     float line = 1.0 - smoothstep(0.4, 1.2, border / abs(metresPerPixel.x));
     shade = mix(shade, edge, line * outline * (state == 0u ? 0.35 : 0.8));
   }

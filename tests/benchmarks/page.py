@@ -42,7 +42,7 @@ _PATH = """async ([start, goal, moves, any]) => {
   document.getElementById("any-angle").checked = any;
   ends.start = start;
   const whole = [], searched = [];
-  for (let k = 0; k < 6; k++) {
+  for (let k = 0; k < 25; k++) {
     ends.goal = goal;
     panes[0].answer = null;
     const begin = performance.now();
@@ -56,7 +56,7 @@ _PATH = """async ([start, goal, moves, any]) => {
 }"""
 _FRAME = """() => {
   const {gl} = panes[0].drawing, one = new Uint8Array(4), times = [];
-  for (let k = 0; k < 12; k++) {
+  for (let k = 0; k < 60; k++) {
     const begin = performance.now();
     view.x += 0.01;
     panes[0].draw();
