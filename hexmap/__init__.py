@@ -1,7 +1,7 @@
 """hexmap: scan matching, mapping and path planning on square, hexagonal, cubic, FCC and BCC lattices.
 
-The folders are the layers, and each imports only from those below it: ``cli``, ``paper``, ``experiments``, ``drawing``,
-``io``, ``graph``, ``simulator``, ``maps``, ``poses``, ``lattice``, ``base``. The packages ``planners`` and
+The folders are the layers, and each imports only from those below it: ``cli``, ``paper``, ``experiments``, ``web``,
+``drawing``, ``io``, ``graph``, ``simulator``, ``maps``, ``poses``, ``lattice``, ``base``. The packages ``planners`` and
 ``localisation`` lie between ``cli`` and ``paper``.
 """
 

@@ -18,6 +18,7 @@ from .maps.voxel_list import VoxelList
 from .poses.pose import Pose
 from .poses.scan import Scan
 from .poses.trajectory import Trajectory
+from .web.page import write_page
 
 __all__ = [
     "CellState",
@@ -41,4 +42,5 @@ __all__ = [
     "open_log",
     "read_tum",
     "save_map",
+    "write_page",
 ]

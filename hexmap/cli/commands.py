@@ -19,6 +19,7 @@ from hexmap.cli import (
     localisation_experiment,
     localise,
     mapping,
+    page,
     showing,
     trajectories,
     viewing,
@@ -52,6 +53,7 @@ app.command()(trajectories.convert)
 app.command()(viewing.info)
 app.command()(viewing.lattices)
 app.command()(showing.show)
+app.command()(page.page)
 app.command()(viewing.export)
 app.command(cls=PlanCommand)(planning.plan)
 experiments.app.command()(localisation_experiment.localisation)

@@ -10,6 +10,7 @@ from tests.benchmarks import (
     localiser,
     mapping,
     optimum,
+    page,
     planning,
     replanning,
     slam,
@@ -22,6 +23,6 @@ experiments.main()
 slam.main([])
 lidar.main([])
 for module in (
-    planning, canonical, optimum, anyangle, replanning, localisation, localiser, lattice_localisation,
+    planning, canonical, optimum, anyangle, replanning, localisation, localiser, lattice_localisation, page,
 ):  # fmt: skip
     module.main([])
