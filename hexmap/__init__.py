@@ -25,7 +25,14 @@ def _drawing() -> Any:
     return value_drawing
 
 
-draw_with(_drawing)
+def _frame() -> Any:
+    """Return what makes the page of a map, which lies in a layer below it."""
+    from hexmap.web import frame
+
+    return frame
+
+
+draw_with(_drawing, _frame)
 
 # The names, and the modules they live in, stand in __init__.pyi; each is loaded when it is first used.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

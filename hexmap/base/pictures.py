@@ -1,7 +1,7 @@
 """How values show themselves, which know nothing of drawing: the root of the package says where that is found.
 
-Maps, lists of cells and trajectories lie in layers below the one that draws. Their ``plot`` and ``_repr_html_`` ask
-:func:`drawing` for it, and nothing is loaded before the first picture is wanted.
+Maps, lists of cells and trajectories lie in layers below those that draw and make pages. Their ``plot`` and
+``_repr_html_`` ask :func:`drawing` for it, ``Map.page`` asks :func:`pages`, and nothing is loaded before it is wanted.
 """
 
 from __future__ import annotations
@@ -12,14 +12,19 @@ from typing import Any
 
 from hexmap.base.errors import MissingDependencyError
 
-__all__ = ["draw_with", "drawing", "picture_html"]
+__all__ = ["draw_with", "drawing", "pages", "picture_html"]
 
 _sources: list[Callable[[], Any]] = []
 
 
-def draw_with(source: Callable[[], Any]) -> None:
-    """Name what returns the module that draws values (``hexmap.drawing.value_drawing``), asked when it is needed."""
-    _sources[:] = [source]
+def draw_with(values: Callable[[], Any], web: Callable[[], Any]) -> None:
+    """Name what returns the modules that draw values and make pages of maps, asked when they are needed.
+
+    Args:
+        values: returns ``hexmap.drawing.value_drawing``.
+        web: returns ``hexmap.web.frame``.
+    """
+    _sources[:] = [values, web]
 
 
 def drawing() -> Any:
@@ -28,9 +33,22 @@ def drawing() -> Any:
     Raises:
         MissingDependencyError: nobody has named one.
     """
+    return _source(0)
+
+
+def pages() -> Any:
+    """Return the module that makes pages of maps.
+
+    Raises:
+        MissingDependencyError: nobody has named one.
+    """
+    return _source(1)
+
+
+def _source(number: int) -> Any:
     if not _sources:
         raise MissingDependencyError("nothing draws values: import hexmap first")
-    return _sources[0]()
+    return _sources[number]()
 
 
 def picture_html(value: Any) -> str:

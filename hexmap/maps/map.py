@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError, LatticeError
-from hexmap.base.pictures import drawing, picture_html
+from hexmap.base.pictures import drawing, pages, picture_html
 from hexmap.base.text import quoted
 from hexmap.base.values import Immutable, lossless
 from hexmap.lattice.lattice import Lattice
@@ -316,6 +316,18 @@ class Map(Immutable):
             >>> axes = Trajectory.from_poses([0.0], [Pose.identity(2)]).plot(axes)     # on the same axes
         """
         return drawing().plot_map(self, ax, level=level, rule=rule, height=height)
+
+    def page(self, *, pixels: int = 560, **options: Any) -> Any:
+        """Return the map as a page to look and plan in, which a notebook shows in a frame.
+
+        Args:
+            pixels: height of the frame.
+            **options: those of :func:`hexmap.write_page`, which writes the page into a file.
+
+        Raises:
+            ArgumentError: an option does not go with this map.
+        """
+        return pages().page_frame(self, pixels=pixels, **options)
 
     def _repr_html_(self) -> str:
         """Show a small picture in a notebook."""

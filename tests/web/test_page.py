@@ -276,3 +276,11 @@ def test_the_command_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main([*arguments[:4], "--slice", "1"]) == 2 and "in the plane" in capsys.readouterr().err
     assert main([*arguments[:3], str(tmp_path / "m.txt")]) == 2 and "m.txt" in capsys.readouterr().err
     assert not (tmp_path / "m.txt").exists()
+
+
+def test_a_map_makes_its_own_page_for_a_notebook() -> None:
+    world = rooms(A2, 2)
+    shown = world.page(pixels=300, title="a room")
+    assert 'height="300"' in shown._repr_html_() and "a room" in shown.page
+    with pytest.raises(ArgumentError, match="100 to 10,000 pixels"):
+        world.page(pixels=5)
