@@ -282,5 +282,5 @@ def test_a_map_makes_its_own_page_for_a_notebook() -> None:
     world = rooms(A2, 2)
     shown = world.page(pixels=300, title="a room")
     assert 'height="300"' in shown._repr_html_() and "a room" in shown.page
-    with pytest.raises(ArgumentError, match="100 to 10,000 pixels"):
+    with pytest.raises(ArgumentError, match="100 to 10000 pixels"):
         world.page(pixels=5)
