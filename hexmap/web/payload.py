@@ -121,8 +121,9 @@ def _level_of_grid(grid: GridMap) -> PageLevel:
 def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) -> PageMap:
     """Return the same world on another lattice, at the resolution of each level.
 
-    A cell of it is what a map of hexmap has at its centre, as ``hexmap plan --lattice`` has it. A map of others is put
-    on the lattice as :meth:`~hexmap.io.grids.GridMap.to_states` does it, so that walls of one square have no gaps.
+    A cell of it is what a map of hexmap has at its centre; where centres of occupied cells fall into it, it is the one
+    of these with the most hits, so that walls of one cell keep together. A map of others is put on the lattice as
+    :meth:`~hexmap.io.grids.GridMap.to_states` does it, so that walls of one square have no gaps.
 
     Args:
         source: the map.
@@ -138,7 +139,7 @@ def on_lattice(source: Map | GridMap, world: PageMap, lattice: str | Lattice) ->
         on = Lattice.named(lattice, level.lattice.resolution) if isinstance(lattice, str) else lattice.scaled(2.0**k)
         if on.dim != level.lattice.dim:
             raise ArgumentError(f"the map is of dimension {level.lattice.dim}, the lattice {on.name} of {on.dim}")
-        levels.append(_rasterised(source, on) if isinstance(source, GridMap) else _resampled(level, on))
+        levels.append(_rasterised(source, on) if isinstance(source, GridMap) else _resampled(level, on, world.rule))
         if len(levels[-1].index) == 0:
             raise ArgumentError(f"no known cell of the map holds the centre of a cell of {on!r}")
     return PageMap(levels[0].lattice.title, tuple(levels), world.rule, world.y_down)
@@ -153,8 +154,11 @@ def _rasterised(grid: GridMap, on: Lattice) -> PageLevel:
     return PageLevel(on, (0.0,) * on.dim, unpack(keys[order], on.dim), states=values[order].astype(np.uint8))
 
 
-def _resampled(level: PageLevel, on: Lattice) -> PageLevel:
-    """Return the cells of a lattice whose centre lies in a known cell, with that cell's counts or state."""
+def _resampled(level: PageLevel, on: Lattice, rule: StateRule) -> PageLevel:
+    """Return the cells of a lattice whose centre lies in a known cell, with that cell's counts or state.
+
+    Where centres of occupied cells fall into a cell, it has the counts of the one of these with the most hits.
+    """
     own, origin = level.lattice, np.array(level.origin)
     reach = own.covering_radius + on.covering_radius
     most = np.floor(np.linalg.norm(np.linalg.inv(on.basis), axis=1) * reach).astype(np.int64)
@@ -169,6 +173,12 @@ def _resampled(level: PageLevel, on: Lattice) -> PageLevel:
     known = pack(level.index)
     position = np.minimum(np.searchsorted(known, at), len(known) - 1)
     found = known[position] == at
+    # Walls that the centres miss: the last of a cell's claimants has the most hits, and the first of these comes last.
+    occupied = np.flatnonzero(level.states_by(rule) == CellState.OCCUPIED.value)[::-1]
+    if level.hits is not None:
+        occupied = occupied[np.argsort(level.hits[occupied], kind="stable")]
+    claimed = np.searchsorted(keys, pack(near[occupied]))
+    position[claimed], found[claimed] = occupied, True
     taken = position[found]
     hits, passes, states = (None if v is None else v[taken] for v in (level.hits, level.passes, level.states))
     return PageLevel(on, (0.0,) * on.dim, index[found], hits, passes, states)

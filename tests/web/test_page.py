@@ -174,7 +174,7 @@ def test_the_nearest_centre_is_always_among_the_candidates(lattice: Lattice) -> 
         assert (found == lattice.quantise(u @ lattice.basis.T)).all()
 
 
-def test_comparing_takes_what_is_at_the_centre_of_each_cell() -> None:
+def test_comparing_takes_what_is_at_the_centre_of_each_cell_and_walls_whole() -> None:
     world = rooms(A2, 2)
     for other in ("Z2", Lattice([[0.131, 0.047], [-0.022, 0.088]], "skew")):
         level = on_lattice(world, page_map(world), other).levels[1]
@@ -188,6 +188,15 @@ def test_comparing_takes_what_is_at_the_centre_of_each_cell() -> None:
         for cell, own in zip(box.tolist(), at.lattice.quantise(on.centres(box)).tolist(), strict=True):
             if tuple(own) in counts:
                 want[tuple(cell)] = counts[tuple(own)]
+        for number, cell in enumerate(on.quantise(at.centres()).tolist()):
+            own = tuple(at.index[number].tolist())
+            rivals = [
+                counts[tuple(at.index[k].tolist())]
+                for k in np.flatnonzero((on.quantise(at.centres()) == cell).all(axis=1)).tolist()
+                if counts[tuple(at.index[k].tolist())][0]
+            ]
+            if counts[own][0]:
+                want[tuple(cell)] = max(rivals)
         assert level.hits is not None and level.passes is not None
         got = zip(level.index.tolist(), level.hits.tolist(), level.passes.tolist(), strict=True)
         assert {tuple(i): (h, p) for i, h, p in got} == want
