@@ -137,7 +137,7 @@ def cells_in_box(begin, end, layout, basis, low, high, flat, points):
         here = 0
         for i in range(n):
             here += (at[i] + pad[i]) * strides[i]
-            # All of a centre but what the last index adds, in the order of ``Lattice.centres``: both give the same bits.
+            # A centre without what the last index adds, in the order of ``Lattice.centres``: the same bits.
             before[i] = basis[i, 0] * (at[0] + first[0])
             for j in range(1, last):
                 before[i] += basis[i, j] * (at[j] + first[j])

@@ -6,7 +6,6 @@ A finished case is kept only as long as this file and ``source_map.py`` do not c
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import time
 from collections.abc import Callable
