@@ -7,15 +7,20 @@ Everything is decided in exact numbers: coordinates are the integers that
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
 from collections import Counter, deque
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.lattices import Case
+
+if TYPE_CHECKING:
+    from hexmap.graph.lattice_graph import LatticeGraph
 
 ONE = 2**32
 Index = tuple[int, ...]
@@ -191,3 +196,23 @@ def state(hits: int, passes: int, min_hits: int, min_ratio: str, min_passes: int
     if hits >= min_hits and Fraction(hits, hits + passes) >= Fraction(min_ratio):
         return 2
     return 1 if passes >= min_passes else 0
+
+
+def least_costs(graph: LatticeGraph, sources: list[int]) -> NDArray[np.float64]:
+    """Return the least cost (size,) to each flat cell: every move looked at, the nearest cell first, the same sums."""
+    free, terrain = graph.free.tolist(), None if graph.terrain is None else graph.terrain.tolist()
+    sweeps = np.split(graph.swept, graph.swept_starts[1:-1])
+    moves = list(zip(graph.offsets.tolist(), graph.lengths.tolist(), [s.tolist() for s in sweeps], strict=True))
+    out = np.full(graph.size, np.inf)
+    queue = [(0.0, a) for a in sources]
+    while queue:
+        cost, a = heapq.heappop(queue)
+        if cost >= out[a]:
+            continue
+        out[a] = cost
+        for offset, length, swept in moves:
+            b = a + offset
+            if free[b] and all(free[a + s] for s in swept):
+                rise = length if terrain is None else length * (0.5 * (terrain[a] + terrain[b]))
+                heapq.heappush(queue, (cost + rise, b))
+    return out

@@ -122,32 +122,39 @@ def cells_in_box(begin, end, layout, basis, low, high, flat, points):
     """
     first, inner, pad, strides = layout.first, layout.inner, layout.pad, layout.strides
     n = first.shape[0]
+    last = n - 1
     at = np.empty(n, np.int64)
+    before = np.empty(n, np.float64)
     centre = np.empty(n, np.float64)
     w = 0
-    for c in range(begin, end):
-        # The cell's place inside the padding, from its number.
+    c = begin
+    while c < end:
+        # A row, or the part of it that is asked for: its place inside the padding, from the number of its first cell.
         rest = c
-        for i in range(n - 1, -1, -1):
+        for i in range(last, -1, -1):
             at[i] = rest % inner[i]
             rest //= inner[i]
-        # Its centre, added up in the order of ``Lattice.centres``, so that both give the same bits.
-        inside = True
+        here = 0
         for i in range(n):
-            x = basis[i, 0] * (at[0] + first[0])
-            for j in range(1, n):
-                x += basis[i, j] * (at[j] + first[j])
-            centre[i] = x
-            if x < low[i] or x > high[i]:
-                inside = False
-                break
-        if inside:
-            here = 0
+            here += (at[i] + pad[i]) * strides[i]
+            # A centre without what the last index adds, in the order of ``Lattice.centres``: the same bits.
+            before[i] = basis[i, 0] * (at[0] + first[0])
+            for j in range(1, last):
+                before[i] += basis[i, j] * (at[j] + first[j])
+        row = min(inner[last] - at[last], end - c)
+        for k in range(row):
+            number = at[last] + k + first[last]
+            inside = True
             for i in range(n):
-                here += (at[i] + pad[i]) * strides[i]
-                points[w, i] = centre[i]
-            flat[w] = here
-            w += 1
+                x = before[i] + basis[i, last] * number
+                centre[i] = x
+                inside &= (x >= low[i]) & (x <= high[i])
+            if inside:
+                for i in range(n):
+                    points[w, i] = centre[i]
+                flat[w] = here + k
+                w += 1
+        c += row
     return w
 
 

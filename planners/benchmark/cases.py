@@ -6,7 +6,6 @@ A finished case is kept only as long as this file and ``source_map.py`` do not c
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import time
 from collections.abc import Callable
@@ -128,11 +127,11 @@ def _answer(path: Path, start: FloatArray, goal: FloatArray, grid_map: GridMap, 
 
 def _along(line: FloatArray) -> FloatArray:
     """Return points along a polyline (M, n), in cells, a quarter of a cell or less apart."""
-    stretches = [line[:1]]
-    for a, b in itertools.pairwise(line):
-        steps = max(1, math.ceil(float(np.linalg.norm(b - a)) * _SAMPLES))
-        stretches.append(a + (b - a) * (np.arange(1, steps + 1)[:, None] / steps))
-    return np.vstack(stretches)
+    legs = np.diff(line, axis=0)
+    steps = np.maximum(1, np.ceil(np.linalg.norm(legs, axis=1) * _SAMPLES)).astype(np.int64)
+    leg = np.repeat(np.arange(len(legs)), steps)
+    fraction = (np.arange(len(leg)) - np.repeat(np.cumsum(steps) - steps, steps) + 1) / steps[leg]
+    return np.vstack([line[:1], line[leg] + legs[leg] * fraction[:, None]])
 
 
 def baseline_case(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> dict[str, Any]:

@@ -55,25 +55,35 @@ class Pinches:
         # Vertices between the cells, the border included: vertex v touches the cells v - 1 and v.
         free = np.pad(grid_map.states == CellState.FREE, 1)
         n = grid_map.dim
-        self.masks: list[tuple[tuple[int, ...], NDArray[np.bool_]]] = []
-        for size in range(2, n + 1):
-            for axes in itertools.combinations(range(n), size):
-                self.masks.append((axes, _pinched(free, axes)))
+        kinds = [axes for size in range(2, n + 1) for axes in itertools.combinations(range(n), size)]
+        # Of the kinds that there are: many maps have none of most.
+        masks = {axes: mask for axes in kinds if (mask := _pinched(free, axes)).any()}
+        self._across = np.array([[axis in axes for axis in range(n)] for axes in masks], np.bool_).reshape(-1, n)
+        self._shapes = np.array([mask.shape for mask in masks.values()], np.int64).reshape(-1, n)
+        self._starts = np.cumsum([0, *(mask.size for mask in masks.values())], dtype=np.int64)
+        self._pinched = np.concatenate([np.empty(0, np.bool_), *(mask.ravel() for mask in masks.values())])
 
     def closed(self, points: FloatArray) -> NDArray[np.bool_]:
         """Tell for each of ``points`` (N, n), metres, whether it is too near to a pinch."""
         w = self.grid_map
-        u = grid_coordinates(w, points)  # cell i spans i to i + 1
-        vertex = np.rint(u).astype(np.int64)
-        layer = np.floor(u).astype(np.int64)
-        gap = (u - vertex) * w.cell
         out = np.zeros(len(points), np.bool_)
-        for axes, mask in self.masks:
-            # Along the other axes a pinch reaches through a whole cell.
-            at = np.where(np.isin(np.arange(w.dim), axes), vertex, layer + 1)
-            at = np.clip(at, 0, np.array(mask.shape) - 1)
-            near = (gap[:, list(axes)] ** 2).sum(axis=1) < self.radius**2
-            out |= near & mask[tuple(at.T)]
+        if len(self._across) == 0:
+            return out
+        from planners.benchmark._source_map_kernels import near_pinch
+
+        near_pinch(
+            np.ascontiguousarray(points, dtype=np.float64),
+            np.array(w.origin, dtype=np.float64),
+            math.cos(w.yaw),
+            math.sin(w.yaw),
+            float(w.cell),
+            float(self.radius) ** 2,
+            self._across,
+            self._shapes,
+            self._starts,
+            self._pinched,
+            out,
+        )
         return out
 
 

@@ -32,6 +32,8 @@ _WIDTH = 1.0 - 1e-9
 _ROUNDING = 1e-12
 # Buckets at a time; where terrain differs more than that a heap takes their place.
 _MOST_BUCKETS = 1 << 16
+# The same of a ring, whose buckets have room for as many entries as the largest of them; else they are lists.
+_MOST_IN_RING = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +188,24 @@ class DistanceField:
         )
 
 
+def field_kernel(graph: LatticeGraph) -> Any:
+    """Return the kernel that finds the fields of a graph."""
+    from planners.search import _bucket_kernels, _dijkstra_kernels
+
+    if graph.equal_edges and graph.terrain is None and len(graph.swept) == 0:
+        return _dijkstra_kernels.wavefront
+    width, dearest = _bucket_width(graph)
+    if graph.terrain is None and dearest / width <= _MOST_IN_RING:
+        return _bucket_kernels.ring
+    return _dijkstra_kernels.buckets if dearest / width <= _MOST_BUCKETS else _dijkstra_kernels.heap
+
+
+def _bucket_width(graph: LatticeGraph) -> tuple[float, float]:
+    """Return how wide a bucket is that no move ends in where it began, and what the dearest move costs at most."""
+    dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(graph.terrain.max()))
+    return float(graph.lengths.min()) * least_terrain(graph) * _WIDTH, dearest
+
+
 def dijkstra(
     graph: LatticeGraph, sources: ArrayLike, *, goals: ArrayLike | None = None, limit: float | None = None
 ) -> DistanceField:
@@ -216,7 +236,8 @@ def dijkstra(
     begin = time.perf_counter()
     steps: NDArray[np.int32] | None = None
     distance: NDArray[np.float64] | None = None
-    if graph.equal_edges and graph.terrain is None and len(graph.swept) == 0:
+    kernel = field_kernel(graph)
+    if kernel is kernels.wavefront:
         steps = np.full(graph.size, -1, np.int32)
         state = graph.free.copy()
         # One longer than there are cells: the kernel writes before it knows whether it keeps.
@@ -224,21 +245,18 @@ def dijkstra(
         queue[: len(start)] = start
         state[start] = 0
         rounds = min(most / float(graph.lengths[0]) * (1.0 + _ROUNDING), 2.0**31 - 2)
-        settled = pushes = kernels.wavefront(
+        settled = pushes = kernel(
             state, graph.offsets, queue, steps, len(start), wanted, np.int32(math.floor(rounds))
         )
     else:
         distance = np.full(graph.size, np.inf)
-        width = float(graph.lengths.min()) * least_terrain(graph) * _WIDTH
-        dearest = float(graph.lengths.max()) * (1.0 if graph.terrain is None else float(graph.terrain.max()))
+        width, dearest = _bucket_width(graph)
         reach = most * (1.0 + _ROUNDING)
-        if dearest / width <= _MOST_BUCKETS:
-            buckets = int(dearest / width) + 3
-            settled, pushes = kernels.buckets(
-                graph_arrays(graph), start, wanted, reach, 1.0 / width, buckets, distance
-            )
+        arrays = graph_arrays(graph)
+        if kernel is kernels.heap:
+            settled, pushes = kernel(arrays, start, wanted, reach, distance)
         else:
-            settled, pushes = kernels.heap(graph_arrays(graph), start, wanted, reach, distance)
+            settled, pushes = kernel(arrays, start, wanted, reach, 1.0 / width, int(dearest / width) + 3, distance)
     return DistanceField(
         graph,
         graph.flat_to_index(start),

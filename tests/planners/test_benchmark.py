@@ -364,3 +364,24 @@ def test_every_pair_of_cells_of_the_pinch_table() -> None:
         grid_map = GridMap(states_of(free), 1.0, [0.0, 0.0])
         closed = bool(Pinches(grid_map, 0.3).closed(np.array([[1.1, 0.9]]))[0])
         assert closed == (pattern in ((1, 0, 0, 1), (0, 1, 1, 0)))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4])
+def test_what_is_closed_is_what_is_near_a_corner_where_free_cells_meet_diagonally(yaw: float) -> None:
+    rng = np.random.default_rng(5)
+    free = rng.random((12, 10)) >= 0.4
+    diagonal = (free[1:, 1:] == free[:-1, :-1]) & (free[1:, :-1] == free[:-1, 1:]) & (free[1:, 1:] != free[1:, :-1])
+    corners = np.argwhere(diagonal) + 1.0
+    at = rng.uniform(0.0, 1.0, (3000, 3)) * [12.0, 10.0, 4.0]
+    expected = (np.linalg.norm(at[:, None, :2] - corners, axis=2) < 0.3).any(axis=1)
+    assert expected.sum() > 50
+    points = at * 0.5
+    c, s = math.cos(yaw), math.sin(yaw)
+    points[:, :2] = points[:, :2] @ np.array([[c, s], [-s, c]]) + [3.0, -1.0]
+    plane = GridMap(states_of(free.astype(np.uint8)), 0.5, [3.0, -1.0], yaw)
+    assert (Pinches(plane, 0.15).closed(points[:, :2]) == expected).all()
+    # The same walls four cells high: the corners are edges.
+    high = np.repeat(free.astype(np.uint8)[:, :, None], 4, axis=2)
+    space = GridMap(states_of(high), 0.5, [3.0, -1.0, 0.0], yaw)
+    assert (Pinches(space, 0.15).closed(points) == expected).all()
+    assert not Pinches(GridMap(states_of(np.ones((5, 4), np.uint8)), 0.5, [0.0, 0.0]), 0.15).closed(points[:, :2]).any()

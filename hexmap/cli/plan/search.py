@@ -131,13 +131,12 @@ def kernels_of(graph: LatticeGraph, query: Query) -> list[Any]:
     from planners.any_angle import _kernels as _anyangle_kernels
     from planners.any_angle import _theta_kernels
     from planners.search import _astar_kernels, _bidirectional_kernels, _canonical_kernels
-    from planners.search import _dijkstra_kernels as _field_kernels
+    from planners.search.dijkstra import field_kernel
 
     heuristic = _bidirectional_kernels.search_both if query.bidirectional else _astar_kernels.run_astar
-    alike = graph.equal_edges and graph.terrain is None and len(graph.swept) == 0
     own = {
         Planner.astar: heuristic,
-        Planner.dijkstra: _field_kernels.wavefront if alike else _field_kernels.buckets,
+        Planner.dijkstra: field_kernel(graph),
         Planner.any_angle: _theta_kernels.search,
         Planner.canonical: _canonical_kernels.search,
     }
