@@ -109,7 +109,8 @@ def plan(
     resolution: Annotated[
         float | None,
         typer.Option(
-            help="Resolution of that lattice, m. At the size of the source's own cells paths leak through thin walls.",
+            help="Resolution of that lattice, m. A cell that reaches into an occupied one of the source is blocked: "
+            "the finer, the narrower the passages that stay open.",
             show_default="half the source's cell in the plane, the source's cell in space; of hexmap's maps their own",
         ),
     ] = None,
@@ -121,7 +122,8 @@ def plan(
 ) -> None:
     """Look for a path between two positions in a map: straight lines, or with --planner astar moves of the lattice.
 
-    The path begins in --from and ends in --to; between them it turns at centres of cells.
+    The path begins in --from and ends in --to; between them it turns at centres of cells. No piece of it runs through
+    an occupied cell of the source: a cell of the lattice that reaches into one is blocked.
     """
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map

@@ -176,6 +176,10 @@ def _why(
         elif planning_map.state_at(planning_map.graph.lattice.centres(cell))[0] == CellState.UNKNOWN:
             text = f"{where} is unknown"
             helps += open_up
+        elif planning_map.state_at(planning_map.graph.lattice.centres(cell))[0] == CellState.FREE:
+            size = planning_map.graph.lattice.resolution
+            text = f"{where} of {size:g} m reaches into an occupied cell of the map"
+            helps.append("a finer --resolution")
         else:
             text = f"{where} is occupied"
         return text + _nearest_free(graph, (start, goal)[at], cells[1 - at], ("--to", "--from")[at]), helps
