@@ -156,15 +156,19 @@ def _map_of_others(path: Path, lattice: str | None, size: float | None) -> _Scen
 
     grid = open_grid(path)
     own = f"Z{grid.dim}"
-    if lattice is not None or size is not None or grid.yaw != 0.0 or grid.dim == 2:
+    if lattice is not None or size is not None:
         on = Lattice.named(lattice or own, size or grid.cell)
         return _Scene(grid.to_states(on), f"{on.title} cells of {on.resolution:g} m, over cells of {grid.cell:g} m")
     on = Lattice.named(own, grid.cell)
+    corner = grid.centre(np.zeros((1, grid.dim)))
+    if grid.yaw != 0.0:
+        # The squares as they are turned.
+        on = Lattice((grid.centre(np.eye(grid.dim)) - corner).T, f"{on.title}, turned,")
     occupied, free = (
         VoxelList.from_cells(np.argwhere(grid.states == state.value), on)
         for state in (CellState.OCCUPIED, CellState.FREE)
     )
-    offset = tuple((grid.origin + 0.5 * grid.cell).tolist())
+    offset = tuple(corner[0].tolist())
     return _Scene(States(occupied, free), f"its own cells of {grid.cell:g} m", offset)
 
 
@@ -205,7 +209,7 @@ def _show_flat(
     if viewer or height is not None or output is None:
         what = "--slice" if height is not None else "--viewer"
         raise ArgumentError(f"{source}: {what} is for maps in space, and this one is in the plane")
-    draw_states(scene.states, output, poses, whole=whole)
+    draw_states(scene.states, output, poses, whole=whole, offset=scene.offset[:2])
     wrote(output, scene.words)
 
 
