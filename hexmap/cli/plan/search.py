@@ -40,7 +40,7 @@ def find_path(planning_map: PlanningMap, graph: LatticeGraph, query: Query) -> P
         text, helps = _why(error, planning_map, graph, query, cells)
         other = query.planner is not Planner.astar and not query.is_default
         if query.nearest or other or error.reason.startswith("start"):
-            helps.remove("--nearest")
+            helps = [help for help in helps if help != "--nearest"]
         advice = f"; {' or '.join(helps)} may help" if helps else ""
         raise NoPath(error.reason, text + advice) from error
 
@@ -164,7 +164,7 @@ def _why(
             f"{axis} from {low:.2f} to {high:.2f} m"
             for axis, low, high in zip("xyz", planning_map.low, planning_map.high, strict=False)
         )
-        return f"{where} and the map has {extent}", ["--nearest"]
+        return f"{where} and the map has {extent}", []
     if "blocked" in error.reason:
         cell = np.array([cells[at]])
         flat = planning_map.graph.index_to_flat(cell)
