@@ -133,7 +133,8 @@ def draw_states(
     finite = positions[np.isfinite(positions).all(axis=1)]
     seen = np.concatenate([*cells, finite])
     if not whole:
-        seen = np.concatenate([*bulk(*cells), finite])
+        hits = states.occupied.counts if highest is None else None
+        seen = np.concatenate([*bulk(*cells, hits=hits), finite])
     layout = FigureLayout.around(seen, states.occupied.lattice, dpi, title is not None)
     outside = sum(layout.count_outside(c) for c in cells)
 
@@ -240,8 +241,7 @@ def _trajectory_positions(trajectory: Trajectory | ArrayLike | None) -> NDArray[
 
 
 def _shades(occupied: VoxelList) -> NDArray[np.int64]:
-    """Return the shade (M,) of each cell, 0 for one hit and darker by the logarithm; a dark one where hits say nothing.
-    """
+    """Return the shade (M,) of each cell, 0 for one hit and darker by the logarithm; dark where hits say nothing."""
     if len(occupied) == 0:
         return np.empty(0, np.int64)
     if not has_hits(occupied):
