@@ -160,7 +160,7 @@ def _line_inside(line: NDArray[np.float64] | None, crop: str) -> NDArray[np.floa
     low, high = (np.asarray(corner)[:2] for corner in clouds.corners(crop))
     if line is None:
         return None
-    inside = ((line[:, :2] >= low) & (line[:, :2] <= high)).all(axis=1)
+    inside = np.all((line[:, :2] >= low) & (line[:, :2] <= high), axis=1)
     return np.where(inside[:, None], line, np.nan) if inside.any() else None
 
 

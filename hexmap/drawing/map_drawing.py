@@ -288,7 +288,9 @@ def _draw_outlines(axes: Any, states: States, offset: NDArray[np.float64]) -> No
     draw_areas(axes, list(zip(areas, (FREE_COLOUR, *SHADES), strict=True)), offset)
 
 
-def draw_areas(axes: Any, areas: list[tuple[VoxelList, str]], offset: ArrayLike = 0.0) -> None:
+def draw_areas(
+    axes: Any, areas: list[tuple[VoxelList, str]], offset: NDArray[np.float64] | float = 0.0
+) -> None:
     """Draw whole areas as curves in their colours, the first one lowest, on the colour of the unknown.
 
     The lattice lies at ``offset`` (2,), metres.
