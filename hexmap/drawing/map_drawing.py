@@ -252,23 +252,16 @@ def _shades(occupied: VoxelList) -> NDArray[np.int64]:
 # ---------------------------------------------------------------------- cells of the plane
 
 
-@dataclass(frozen=True)
 class _Moved:
     """Classes of cells whose lattice lies at an offset (2,), metres."""
 
-    table: ClassTable
-    offset: NDArray[np.float64]
-
-    __repr__ = one_line
-
-    @property
-    def lattice(self) -> Lattice:
-        """The lattice of the cells."""
-        return self.table.lattice
+    def __init__(self, table: ClassTable, offset: NDArray[np.float64]) -> None:
+        self.lattice = table.lattice
+        self._table, self._offset = table, offset
 
     def at(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return the class (N,) of each of ``points`` (N, 2), metres."""
-        return self.table.at(points - self.offset)
+        return self._table.at(points - self._offset)
 
 
 def _draw_states_as_pixels(figure: Any, layout: FigureLayout, states: States, offset: NDArray[np.float64]) -> None:
