@@ -20,30 +20,33 @@ from hexmap.base.values import one_line
 if TYPE_CHECKING:
     from planners.path import Path
 
-__all__ = ["ENDINGS", "PathTable", "check_path_file", "path_headings", "read_path", "write_path"]
+__all__ = ["ENDINGS", "PathTable", "check_path_file", "is_path_file", "path_headings", "read_path", "write_path"]
 
 ENDINGS = (".csv", ".json", ".geojson")
 _POINT = {2: ("x", "y"), 3: ("x", "y", "z")}
 _CELL = {2: ("a", "b"), 3: ("a", "b", "c")}
 _ANGLES = {2: ("heading",), 3: ("heading", "pitch")}
 _COLUMNS = {n: (*_POINT[n], *_CELL[n], "length", *_ANGLES[n]) for n in (2, 3)}
-_FRAME = "metres in the frame of the map: x, y and z, not WGS84 longitude, latitude and altitude"
+_FRAME = {
+    2: "metres in the frame of the map: x and y, not WGS84 longitude and latitude",
+    3: "metres in the frame of the map: x, y and z, not WGS84 longitude, latitude and altitude",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class PathTable:
-    """What a CSV file says of a path.
+    """What a file says of a path.
 
     Attributes:
         points: (M, n) float64, metres, in the frame of the map.
-        cells: (M, n) int32 index of the cells.
+        cells: (M, n) int32 index of the cells; None of a GeoJSON, which has none.
         length: (M,) float64 metres from the start to each point along the path.
         heading: (M,) float64 radians, see :func:`path_headings`; NaN where there is none.
         pitch: (M,) float64 radians in space, None in the plane.
     """
 
     points: NDArray[np.float64]
-    cells: NDArray[np.int32]
+    cells: NDArray[np.int32] | None
     length: NDArray[np.float64]
     heading: NDArray[np.float64]
     pitch: NDArray[np.float64] | None = None
@@ -102,7 +105,7 @@ def write_path(file: str | os.PathLike[str], path: Path) -> None:
     - ``.geojson``: a feature whose LineString (Point, where there is one point) is in metres of the map. Its member
       ``coordinates_are`` says so: RFC 7946 means degrees, which a map without a place on the globe has not.
 
-    Angles are in radians. Numbers are written with all their digits: :func:`read_path` gives the same ones of a CSV.
+    Angles are in radians. Numbers are written with all their digits: :func:`read_path` gives the same ones.
 
     Raises:
         ArgumentError: another ending.
@@ -171,7 +174,7 @@ def _as_geojson(path: Path) -> dict[str, Any]:
     angles = [[_number(v) for v in column] for column in path_headings(path.points).T.tolist()]
     return {
         "type": "Feature",
-        "coordinates_are": _FRAME,
+        "coordinates_are": _FRAME[n],
         "geometry": {
             "type": "LineString" if line else "Point",
             "coordinates": positions if line else positions[0],
@@ -181,20 +184,71 @@ def _as_geojson(path: Path) -> dict[str, Any]:
     }
 
 
+def is_path_file(file: str | os.PathLike[str]) -> bool:
+    """Tell by how a file begins whether it is a path that :func:`write_path` wrote."""
+    name = FilePath(file)
+    heads = [",".join(columns) for columns in _COLUMNS.values()]
+    try:
+        with name.open(encoding="utf-8") as handle:
+            begin = handle.read(400)
+    except (OSError, UnicodeDecodeError):
+        return False
+    if name.suffix.lower() in (".json", ".geojson"):
+        return '"hexmap path"' in begin or '"coordinates_are"' in begin
+    return begin.partition("\n")[0].rstrip("\r") in heads
+
+
 def read_path(file: str | os.PathLike[str]) -> PathTable:
-    """Read the CSV that :func:`write_path` wrote.
+    """Read what :func:`write_path` wrote, as the ending of the file says: ``.json``, ``.geojson``, else CSV.
 
     Raises:
         FileAccessError: the file cannot be read.
-        FormatError: it is no such table; the text names file and line.
+        FormatError: it is no such path; the text names the file, of a CSV also the line.
     """
     name = FilePath(file)
     try:
-        lines = name.read_text(encoding="utf-8").splitlines()
+        text = name.read_text(encoding="utf-8")
     except OSError as error:
         raise FileAccessError(f"{name}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise FormatError(f"{name}: not a path: not text") from error
+    ending = name.suffix.lower()
+    if ending in (".json", ".geojson"):
+        return _read_json(name, text, ending)
+    return _read_csv(name, text.splitlines())
+
+
+def _read_json(name: FilePath, text: str, ending: str) -> PathTable:
+    """Return the path of a JSON or GeoJSON file."""
+    try:
+        content = json.loads(text)
+        cells: NDArray[np.int32] | None = None
+        if ending == ".json":
+            rows = content["points"]
+            n = 3 if "z" in rows[0] else 2
+            points = np.array([[row[axis] for axis in _POINT[n]] for row in rows], np.float64)
+            cells = np.array([row["cell"] for row in rows], np.int32)
+            length = np.array([row["length"] for row in rows], np.float64)
+            angles = [[row[angle] for row in rows] for angle in _ANGLES[n]]
+        else:
+            shape = content["geometry"]
+            positions = shape["coordinates"]
+            points = np.array(positions if shape["type"] == "LineString" else [positions], np.float64)
+            n = points.shape[1]
+            length = _along(points)
+            angles = [content["properties"][angle] for angle in _ANGLES[n]]
+        looks = np.array([[math.nan if v is None else v for v in column] for column in angles], np.float64)
+        sound = points.shape == (len(length), n) and looks.shape == (n - 1, len(length))
+        if not (sound and np.isfinite(points).all() and np.isfinite(length).all()) or (
+            cells is not None and cells.shape != points.shape
+        ):
+            raise ValueError
+    except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
+        raise FormatError(f"{name}: not a path that hexmap wrote as {ending}") from error
+    return PathTable(points, cells, length, looks[0], looks[1] if n == 3 else None)
+
+
+def _read_csv(name: FilePath, lines: list[str]) -> PathTable:
     head = tuple(lines[0].split(",")) if lines else ()
     n = next((k for k in _POINT if head == _COLUMNS[k]), 0)
     if n == 0:

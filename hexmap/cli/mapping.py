@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from hexmap.poses.pose import Pose
 
 
+# Endings by which others take a file for what a CARMEN log is not.
+_OTHER_LOGS = (".bag", ".db3", ".mcap", ".tum", ".parquet", ".dat", ".csv")
+
+
 def simulate(
     building: Annotated[str, typer.Argument(help="office, castle or room; warehouse3d for a LiDAR on several floors.")],
     output: Annotated[
@@ -72,6 +76,9 @@ def _simulate_in_plane(
     from hexmap.simulator.writer import write_log
 
     check_outputs({"--output": output, "--truth": truth})
+    ending = output.with_suffix("").suffix if output.suffix.lower() == ".gz" else output.suffix
+    if ending.lower() in _OTHER_LOGS:
+        raise typer.BadParameter(f"{output}: a CARMEN log is written, whose ending is .clf or .log, not {ending}")
     summary = write_log(output, make_building(building), truth, laser=Laser(**laser), seed=seed, duration=duration)
     wrote(
         output,

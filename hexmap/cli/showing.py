@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,11 +10,13 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import check_applies, check_outputs, say, warn, wrote
-from hexmap.cli.viewing import LevelOption, MinHits, MinRatio, rule_of
+from hexmap.cli.viewing import LevelOption, MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hexmap.maps.state_rule import States
-    from hexmap.poses.trajectory import Trajectory
 
 _NO_OFFSET = (0.0, 0.0, 0.0)
 _VIEW = -120.0, 35.0  # degrees, of the eye
@@ -60,7 +62,10 @@ def show(
     ] = None,
     level: LevelOption = 0,
     whole: Annotated[bool, typer.Option("--whole", help="Show strays, too, far from all other cells.")] = False,
-    trajectory: Annotated[Path | None, typer.Option(help="Poses to draw (TUM).")] = None,
+    trajectory: Annotated[
+        list[Path] | None,
+        typer.Option(help="Poses to draw (TUM, KITTI, EuRoC), or a path that hexmap plan wrote; one."),
+    ] = None,
     min_hits: MinHits = None,
     min_ratio: MinRatio = None,
     lattice: Annotated[
@@ -87,22 +92,26 @@ def show(
     seed: clouds.Seed = 0,
 ) -> None:
     """Draw a map with its true cells: flat, or in space as shaded polyhedra or a slice of them."""
+    from hexmap.base.errors import FileAccessError
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.grids.open_grid import is_grid
 
     if output is None and not viewer:
         raise typer.BadParameter("say where to draw it (--output), or open a window (--viewer)")
-    check_outputs({"--output": output}, (source,) if trajectory is None else (source, trajectory))
-    poses = None
-    if trajectory is not None:
-        from hexmap.io.trajectories import read_trajectory
-
-        poses = read_trajectory(trajectory)
+    lines = trajectory or []
+    check_outputs({"--output": output}, (source, *lines))
+    if len(lines) > 1:
+        raise typer.BadParameter(
+            f"--trajectory is given {len(lines)} times, and one is drawn; hexmap evaluate --picture draws several"
+        )
+    if not source.exists():
+        raise FileAccessError(f"{source}: no such file")
+    poses = _line(lines[0]) if lines else None
     size = clouds.cell_size(resolution, volume, None, 3)
     of_points = {
         "--format": format is not None, "--units": units != "m", "--axes": axes != "xyz",
         "--columns": columns is not None, "--offset": offset != "auto", "--min-range": min_range != 0.0,
-        "--max-range": max_range is not None, "--crop": crop is not None, "--unique": unique,
+        "--max-range": max_range is not None, "--unique": unique,
         "--sample": sample is not None, "--seed": seed != 0,
     }  # fmt: skip
     of_maps = {"--level": level != 0, "--min-hits": min_hits is not None, "--min-ratio": min_ratio is not None}
@@ -111,18 +120,22 @@ def show(
         check_applies(source, "these say how points are read, and this is a map", of_points)
     if not own:
         what = "only maps of hexmap have levels and hits" if foreign else "points have no levels, hits or poses"
-        check_applies(source, what, of_maps if foreign else {**of_maps, "--trajectory": trajectory is not None})
+        check_applies(source, what, of_maps if foreign else {**of_maps, "--trajectory": bool(lines)})
     if own:
-        scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None)
+        scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None, crop)
     elif foreign:
-        scene = _map_of_others(source, lattice, size)
+        scene = _inside(source, _map_of_others(source, lattice, size), crop)
     else:
+        _check_points(source)
         scene = _points(
             source, lattice, size, reading=clouds.Reading(format, units, axes, columns, offset),
             min_range=min_range, max_range=max_range, crop=crop, unique=unique, sample=sample, seed=seed,
         )  # fmt: skip
     if scene.states.occupied.lattice.dim == 2:
         check_applies(source, "the map is flat", {"--view": view != _VIEW, "--cut-above": cut_above is not None})
+    if crop is not None and (own or foreign):
+        # What is asked for is the box, strays and all, and of the trajectory what lies in it.
+        whole, poses = True, _line_inside(poses, crop)
     drawn = output is not None and output.suffix.lower() in _DRAWINGS and scene.offset == _NO_OFFSET
     if scene.states.occupied.lattice.dim == 2 or (drawn and slice is None and not viewer):
         _show_flat(source, scene, output, poses, slice, viewer, whole)
@@ -132,14 +145,81 @@ def show(
         _show_solids(scene, output, view, cut_above, poses, viewer, whole)
 
 
-def _own_map(map: Path, level: int, min_hits: int | None, min_ratio: float | None, about_points: bool) -> _Scene:
-    """Return a level of a map of hexmap."""
+def _line(path: Path) -> NDArray[np.float64]:
+    """Return the positions (N, n), metres, of a trajectory or of a path that ``hexmap plan`` wrote."""
+    from hexmap.io.trajectories import read_trajectory
+    from planners.path_files import is_path_file, read_path
+
+    return read_path(path).points if is_path_file(path) else read_trajectory(path).positions
+
+
+def _line_inside(line: NDArray[np.float64] | None, crop: str) -> NDArray[np.float64] | None:
+    """Return a line with gaps where it leaves the box, None where it never enters it."""
+    import numpy as np
+
+    low, high = (np.asarray(corner)[:2] for corner in clouds.corners(crop))
+    if line is None:
+        return None
+    inside = np.all((line[:, :2] >= low) & (line[:, :2] <= high), axis=1)
+    return np.where(inside[:, None], line, np.nan) if inside.any() else None
+
+
+def _check_points(source: Path) -> None:
+    """Refuse files that are no points but something else that hexmap knows, and say what to do with them.
+
+    Raises:
+        FormatError: it is such a file.
+    """
+    from hexmap.base.errors import FormatError
+    from hexmap.io.logs.open_log import is_log
+    from planners.path_files import is_path_file
+
+    if is_log(source):
+        raise FormatError(f"{source}: a log, not a map: make a map of it first (hexmap build)")
+    if is_path_file(source):
+        raise FormatError(f"{source}: a path, not a map: name its map, and --trajectory {source.name} draws it there")
+    if source.suffix.lower() == ".tum":
+        raise FormatError(
+            f"{source}: a trajectory, not a map: name its map, and --trajectory {source.name} draws it there"
+        )
+
+
+def _inside(source: Path, scene: _Scene, crop: str | None) -> _Scene:
+    """Return the part of a map of others whose centres lie in the box that ``--crop`` names.
+
+    Raises:
+        ArgumentError: it is no box of the map's dimension, or no cell lies in it.
+    """
+    import numpy as np
+
+    from hexmap.base.errors import ArgumentError
+    from hexmap.maps.state_rule import States
+
+    low, high = clouds.corners(crop)
+    if low is None or high is None:
+        return scene
+    n = scene.states.occupied.lattice.dim
+    if len(low) != n:
+        raise ArgumentError(f"--crop takes {2 * n} numbers: {source} is a map of dimension {n}")
+    parts = []
+    for cells in (scene.states.occupied, scene.states.free):
+        centres = cells.centres() + np.array(scene.offset[:n])
+        parts.append(cells.select(((centres >= low) & (centres <= high)).all(axis=1)))
+    if not any(map(len, parts)):
+        raise ArgumentError(f"{source}: no cell of the map lies in the box {crop}")
+    return replace(scene, states=States(*parts))
+
+
+def _own_map(
+    map: Path, level: int, min_hits: int | None, min_ratio: float | None, about_points: bool, crop: str | None
+) -> _Scene:
+    """Return a level of a map of hexmap, or the part of it in a box."""
     from hexmap.base.errors import ArgumentError
     from hexmap.io.map_file import load_map
 
     if about_points:
         raise ArgumentError(f"{map}: a map has its lattice; --lattice, --volume and --resolution are for points")
-    loaded = load_map(map)
+    loaded = cropped(load_map(map), crop, map)
     states = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level)
     return _Scene(states, f"level {level}, {states.occupied.lattice.resolution:g} m")
 
@@ -156,15 +236,19 @@ def _map_of_others(path: Path, lattice: str | None, size: float | None) -> _Scen
 
     grid = open_grid(path)
     own = f"Z{grid.dim}"
-    if lattice is not None or size is not None or grid.yaw != 0.0 or grid.dim == 2:
+    if lattice is not None or size is not None:
         on = Lattice.named(lattice or own, size or grid.cell)
         return _Scene(grid.to_states(on), f"{on.title} cells of {on.resolution:g} m, over cells of {grid.cell:g} m")
     on = Lattice.named(own, grid.cell)
+    corner = grid.centre(np.zeros((1, grid.dim)))
+    if grid.yaw != 0.0:
+        # The squares as they are turned.
+        on = Lattice((grid.centre(np.eye(grid.dim)) - corner).T, f"{on.title}, turned,")
     occupied, free = (
         VoxelList.from_cells(np.argwhere(grid.states == state.value), on)
         for state in (CellState.OCCUPIED, CellState.FREE)
     )
-    offset = tuple((grid.origin + 0.5 * grid.cell).tolist())
+    offset = tuple(corner[0].tolist())
     return _Scene(States(occupied, free), f"its own cells of {grid.cell:g} m", offset)
 
 
@@ -193,7 +277,7 @@ def _show_flat(
     source: Path,
     scene: _Scene,
     output: Path | None,
-    poses: Trajectory | None,
+    poses: NDArray[np.float64] | None,
     height: float | None,
     viewer: bool,
     whole: bool,
@@ -205,12 +289,12 @@ def _show_flat(
     if viewer or height is not None or output is None:
         what = "--slice" if height is not None else "--viewer"
         raise ArgumentError(f"{source}: {what} is for maps in space, and this one is in the plane")
-    draw_states(scene.states, output, poses, whole=whole)
+    draw_states(scene.states, output, poses, whole=whole, offset=scene.offset[:2])
     wrote(output, scene.words)
 
 
 def _show_slice(
-    scene: _Scene, height: float, output: Path | None, poses: Trajectory | None, viewer: bool, whole: bool
+    scene: _Scene, height: float, output: Path | None, poses: NDArray[np.float64] | None, viewer: bool, whole: bool
 ) -> None:
     """Draw a horizontal slice of a map in space."""
     from hexmap.drawing.extent import FIT
@@ -227,7 +311,7 @@ def _show_solids(
     output: Path | None,
     view: tuple[float, float],
     cut_above: float | None,
-    poses: Trajectory | None,
+    poses: NDArray[np.float64] | None,
     viewer: bool,
     whole: bool,
 ) -> None:
@@ -240,7 +324,7 @@ def _show_solids(
     from hexmap.drawing.solids.mesh_files import MESH_SUFFIXES, save_mesh
 
     cells = scene.states.occupied
-    line = None if poses is None else poses.positions
+    line = poses
     mesh = None
     if output is not None and output.suffix.lower() in MESH_SUFFIXES:
         mesh = mesh_of_cells(cells).moved(np.array(scene.offset))

@@ -25,10 +25,12 @@ MinRatio = Annotated[
 
 
 def info(
-    source: Annotated[Path, typer.Argument(metavar="map", help="A map, of hexmap or of others, or a laser log.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="map", help="A map, of hexmap or of others, a log, a trajectory or a path.")
+    ],
     config: Annotated[bool, typer.Option("--config", help="Print only its settings, as JSON.")] = False,
 ) -> None:
-    """Say what a map or a log holds and where it came from."""
+    """Say what a map, a log, a trajectory (.tum) or a path holds and where it came from."""
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.grids.open_grid import is_grid
     from hexmap.io.lidar.open_lidar import is_lidar_log
@@ -44,7 +46,33 @@ def info(
         if is_log(source):
             _log_info(source)
             return
+        if _line_info(source):
+            return
     _map_info(source, config)
+
+
+def _line_info(path: Path) -> bool:
+    """Say what a trajectory or a path holds; False where the file is neither."""
+    import numpy as np
+
+    from hexmap.io.trajectories import read_tum
+    from planners.path_files import is_path_file, read_path
+
+    if is_path_file(path):
+        points = read_path(path).points
+        say(f"{path}: a path of {len(points):,} points in {'the plane' if points.shape[1] == 2 else 'space'}")
+    elif path.suffix.lower() == ".tum":
+        poses = read_tum(path)
+        points = poses.positions
+        first, last = float(poses.stamps[0]), float(poses.stamps[-1])
+        say(f"{path}: a trajectory (TUM) of {len(poses):,} poses")
+        say(f"stamps {first:.3f} to {last:.3f} s: {last - first:.1f} s")
+    else:
+        return False
+    length = float(np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1)).sum())
+    ends = ["(" + ", ".join(f"{v:.2f}" for v in points[k]) + ")" for k in (0, -1)]
+    say(f"length {length:.2f} m, from {ends[0]} to {ends[1]} m")
+    return True
 
 
 def _map_info(map: Path, config: bool) -> None:

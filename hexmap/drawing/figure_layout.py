@@ -29,6 +29,7 @@ __all__ = [
     "draw_captions",
     "draw_path_captions",
     "draw_slice_captions",
+    "has_hits",
     "metres_text",
     "round_length",
     "thresholds",
@@ -164,7 +165,7 @@ class FigureLayout:
         label_axes(axes, "x, m", "y, m")
         if self.shows_origin:
             for colour, width in (("white", 2.4), (_ORIGIN, 1.0)):
-                axes.plot(0.0, 0.0, marker="+", markersize=9.0, markeredgecolor=colour, markeredgewidth=width, zorder=4)
+                axes.plot(0.0, 0.0, marker="+", markersize=9.0, markeredgecolor=colour, markeredgewidth=width, zorder=9)
         return axes
 
 
@@ -182,6 +183,11 @@ def label_axes(axes: Any, across: str, up: str) -> None:
     axes.tick_params(labelsize=_TICK, length=2.5, width=0.5, color=FAINT, labelcolor=_TEXT, pad=2.0)
     axes.set_xlabel(across, fontsize=_TICK, labelpad=1.5, color=FAINT)
     axes.set_ylabel(up, fontsize=_TICK, labelpad=1.5, color=FAINT)
+
+
+def has_hits(occupied: VoxelList) -> bool:
+    """Tell whether any cell was hit more than once: in maps of others each counts 1."""
+    return len(occupied) == 0 or int(occupied.counts.max()) > 1
 
 
 def thresholds(occupied: VoxelList) -> NDArray[np.int64]:
@@ -206,7 +212,7 @@ def draw_captions(
     lattice, known = states.occupied.lattice, f"{len(states.occupied):,} occupied"
     flat = lattice.dim == 2
     known += f", {len(states.free):,} free cells" if flat else " cells, seen from above"
-    known += f", {outside:,} of them strays off the page" if outside else ""
+    known += f"; {outside:,} cells not shown (--whole)" if outside else ""
     legend = _draw_sheet(figure, layout, title, f"{_lattice_words(lattice)}; {known}")
     if flat:
         legend.add_states(states)
@@ -300,11 +306,16 @@ class _Legend:
         lattice = states.occupied.lattice
         shape = silhouette(lattice)
         shape = shape * (0.065 / np.abs(shape).max())
-        self._text(f"{thresholds(states.occupied)[-1]:,}+ hits", 0.05)
-        for colour in reversed(SHADES):
-            self._swatch(shape, colour, colour)
-        self._x -= 0.03
-        self._text("occupied, 1", 0.16)
+        if has_hits(states.occupied):
+            self._text(f"{thresholds(states.occupied)[-1]:,}+ hits", 0.05)
+            for colour in reversed(SHADES):
+                self._swatch(shape, colour, colour)
+            self._x -= 0.03
+            self._text("occupied, 1", 0.16)
+        else:
+            self._text("occupied", 0.05)
+            self._swatch(shape, SHADES[-2], SHADES[-2])
+            self._x -= 0.12
         for name, colour in (("free", FREE_COLOUR), ("unknown", UNKNOWN_COLOUR)):
             self._text(name, 0.05)
             self._swatch(shape, colour, "#a3afbf")

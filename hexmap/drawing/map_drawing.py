@@ -32,6 +32,7 @@ from hexmap.drawing.figure_layout import (
     UNKNOWN_COLOUR,
     FigureLayout,
     draw_captions,
+    has_hits,
     thresholds,
 )
 from hexmap.drawing.pixels import draw_pixels
@@ -108,10 +109,13 @@ def draw_states(
     title: str | None = None,
     overlay: Callable[[Any], None] | None = None,
     whole: bool = False,
+    offset: ArrayLike = 0.0,
 ) -> Path:
     """Draw occupied and free cells, of a level of a map or of a map of others, as :func:`draw_map` does.
 
-    ``overlay`` draws on the axes what else is to be seen, in metres.
+    ``overlay`` draws on the axes what else is to be seen, in metres. Where the cell 0 of the lattice has its centre
+    is at ``offset`` (2,), metres. Where no cell has more than one hit, as in maps of others, occupied cells have one
+    shade.
 
     Raises:
         ArgumentError: a suffix that is not known, positions of another shape, or more pixels than an image should have.
@@ -124,22 +128,25 @@ def draw_states(
     positions = _trajectory_positions(trajectory)
     highest = highest_cells(states.occupied) if states.occupied.lattice.dim == 3 else None
     cells = [highest.centres] if highest is not None else [states.occupied.centres(), states.free.centres()]
+    moved = np.broadcast_to(np.asarray(offset, dtype=np.float64), 2)
+    cells = [c[:, :2] + moved for c in cells]
     finite = positions[np.isfinite(positions).all(axis=1)]
-    seen = np.concatenate([*(c[:, :2] for c in cells), finite])
+    seen = np.concatenate([*cells, finite])
     if not whole:
-        seen = np.concatenate([*bulk(*cells), finite])
+        hits = states.occupied.counts if highest is None else None
+        seen = np.concatenate([*bulk(*cells, hits=hits), finite])
     layout = FigureLayout.around(seen, states.occupied.lattice, dpi, title is not None)
-    outside = sum(layout.count_outside(c[:, :2]) for c in cells)
+    outside = sum(layout.count_outside(c) for c in cells)
 
     def draw(figure: Any, axes: Any) -> None:
         if highest is not None:
             _draw_highest(axes, layout, highest)
         elif suffix == ".png":
-            _draw_states_as_pixels(figure, layout, states)
+            _draw_states_as_pixels(figure, layout, states, moved)
         else:
-            _draw_outlines(axes, states)
+            _draw_outlines(axes, states, moved)
         if highest is None:
-            _draw_cell_edges(axes, layout, states)
+            _draw_cell_edges(axes, layout, states, moved)
         draw_line(axes, positions)
         if overlay is not None:
             overlay(axes)
@@ -234,34 +241,53 @@ def _trajectory_positions(trajectory: Trajectory | ArrayLike | None) -> NDArray[
 
 
 def _shades(occupied: VoxelList) -> NDArray[np.int64]:
-    """Return the shade (M,) of each cell, 0 for one hit and darker by the logarithm."""
+    """Return the shade (M,) of each cell, 0 for one hit and darker by the logarithm; dark where hits say nothing."""
     if len(occupied) == 0:
         return np.empty(0, np.int64)
+    if not has_hits(occupied):
+        return np.full(len(occupied), len(SHADES) - 2)
     return np.searchsorted(thresholds(occupied), occupied.counts, side="right")
 
 
 # ---------------------------------------------------------------------- cells of the plane
 
 
-def _draw_states_as_pixels(figure: Any, layout: FigureLayout, states: States) -> None:
+class _Moved:
+    """Classes of cells whose lattice lies at an offset (2,), metres."""
+
+    def __init__(self, table: ClassTable, offset: NDArray[np.float64]) -> None:
+        self.lattice = table.lattice
+        self._table, self._offset = table, offset
+
+    def at(self, points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Return the class (N,) of each of ``points`` (N, 2), metres."""
+        return self._table.at(points - self._offset)
+
+
+def _draw_states_as_pixels(figure: Any, layout: FigureLayout, states: States, offset: NDArray[np.float64]) -> None:
     """Put the exact image of the map onto the figure, pixel by pixel."""
     occupied, free = states.occupied, states.free
     shades = (_shades(occupied) + 2).astype(np.uint8)
     table = ClassTable(occupied.lattice, [(free, np.ones(len(free), np.uint8)), (occupied, shades)])
     colours = (UNKNOWN_COLOUR, FREE_COLOUR, *SHADES)
-    draw_pixels(figure, layout, table, colours, occupied.centres(), shades)
+    draw_pixels(figure, layout, _Moved(table, offset), colours, occupied.centres() + offset, shades)
 
 
-def _draw_outlines(axes: Any, states: States) -> None:
+def _draw_outlines(axes: Any, states: States, offset: NDArray[np.float64]) -> None:
     """Draw whole areas as curves: what is known, then the occupied cells from pale to dark."""
     shades = _shades(states.occupied)
     # Each area holds the darker ones, so no seam can show between two shades.
     areas = [states.free.merge(states.occupied), *(states.occupied.select(shades >= k) for k in range(len(SHADES)))]
-    draw_areas(axes, list(zip(areas, (FREE_COLOUR, *SHADES), strict=True)))
+    draw_areas(axes, list(zip(areas, (FREE_COLOUR, *SHADES), strict=True)), offset)
 
 
-def draw_areas(axes: Any, areas: list[tuple[VoxelList, str]]) -> None:
-    """Draw whole areas as curves in their colours, the first one lowest, on the colour of the unknown."""
+def draw_areas(
+    axes: Any, areas: list[tuple[VoxelList, str]], offset: NDArray[np.float64] | float = 0.0
+) -> None:
+    """Draw whole areas as curves in their colours, the first one lowest, on the colour of the unknown.
+
+    The lattice lies at ``offset`` (2,), metres.
+    """
     from matplotlib.patches import Rectangle
 
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
@@ -270,7 +296,7 @@ def draw_areas(axes: Any, areas: list[tuple[VoxelList, str]]) -> None:
         rings = outline(cells)
         if len(rings.ends):
             # Not add_patch, which walks through the curve in Python to find limits that are fixed here.
-            axes.add_artist(area_patch(rings, colour))
+            axes.add_artist(area_patch(Rings(rings.points + offset, rings.ends), colour))
 
 
 def area_patch(rings: Rings, colour: Any) -> Any:
@@ -288,7 +314,7 @@ def area_patch(rings: Rings, colour: Any) -> Any:
     return PathPatch(Curve(vertices, codes), facecolor=colour, edgecolor="none", linewidth=0)
 
 
-def _draw_cell_edges(axes: Any, layout: FigureLayout, states: States) -> None:
+def _draw_cell_edges(axes: Any, layout: FigureLayout, states: States, offset: NDArray[np.float64]) -> None:
     """Draw the edges of single cells where they are large enough to be seen as cells."""
     lattice = states.occupied.lattice
     if lattice.resolution < _OUTLINED_WIDTH * layout.metres_per_inch:
@@ -296,7 +322,7 @@ def _draw_cell_edges(axes: Any, layout: FigureLayout, states: States) -> None:
     if len(states.occupied) + len(states.free) > _OUTLINED_CELLS:
         return
     for cells, colour in ((states.free, UNKNOWN_COLOUR), (states.occupied, FREE_COLOUR)):
-        add_cells(axes, layout, lattice, cells.centres(), facecolors="none", edgecolors=colour, linewidths=0.4)
+        add_cells(axes, layout, lattice, cells.centres() + offset, facecolors="none", edgecolors=colour, linewidths=0.4)
 
 
 def add_cells(

@@ -396,6 +396,18 @@ class LatticeGraph(ArrayViews):
         """Make a blocked window of the cells of a box."""
         return cls(lattice, box.low, box.shape, neighbourhood, max_cells)
 
+    def with_free(self, free: NDArray[np.uint8]) -> LatticeGraph:
+        """Return the same window with other free cells: ``free`` (size,) as in :attr:`free`, 0 in the padding.
+
+        What clearance is measured from stays as it is.
+
+        Raises:
+            ArgumentError: the array is not (size,) uint8.
+        """
+        if free.shape != (self.size,) or free.dtype != np.uint8:
+            raise ArgumentError(f"the free cells must be ({self.size},) uint8, not {free.shape} {free.dtype}")
+        return self._derived(free, self.terrain)
+
     def _derived(self, free: NDArray[np.uint8] | None, terrain: NDArray[np.float64] | None) -> LatticeGraph:
         """Return the same window with other states or another terrain."""
         graph = object.__new__(type(self))

@@ -24,7 +24,7 @@ from hexmap.maps.cell_state import CellState
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 from planners import astar
-from planners.path_files import path_headings, read_path, write_path
+from planners.path_files import is_path_file, path_headings, read_path, write_path
 from tests.cli.test_cli import failure
 from tests.lattices import CASES, JIT, Case
 
@@ -201,7 +201,8 @@ def test_the_nearest_cell_to_a_goal_that_cannot_be_reached(
     assert call(*arguments, "--unknown", "free") == 0
     assert "not reached" not in capsys.readouterr().out
     assert call(*arguments[:5], "--to", 50, 60, "--nearest", "--picture", tmp_path / "p.png") == 0
-    assert "not reached" in capsys.readouterr().out
+    assert "the goal was not reached" in capsys.readouterr().out.splitlines()[0]
+    assert "--nearest" not in failure(capsys, *arguments[:5], "--to", 50, 60)
 
 
 def test_no_path_says_why_and_what_may_help(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -624,7 +625,16 @@ def test_a_path_as_json_and_geojson(dim: int, tmp_path: Path) -> None:
     assert "not WGS84" in feature["coordinates_are"]  # a foreign member, at the feature itself
     assert feature["properties"]["heading"] == table.heading.tolist()
     assert ("pitch" in feature["properties"]) == (dim == 3)
+    assert ("altitude" in feature["coordinates_are"]) == (dim == 3)
+    for ending in ("json", "geojson"):
+        again = read_path(tmp_path / f"p.{ending}")
+        assert np.array_equal(again.points, table.points) and np.array_equal(again.length, table.length)
+        assert np.array_equal(again.heading, table.heading)
+        assert again.pitch is None if dim == 2 else np.array_equal(again.pitch, table.pitch)
+        assert again.cells is None if ending == "geojson" else np.array_equal(again.cells, table.cells)
+        assert is_path_file(tmp_path / f"p.{ending}")
     write_path(tmp_path / "one.geojson", astar(graph, [0] * dim, [0] * dim))
+    assert read_path(tmp_path / "one.geojson").points.tolist() == [[0.0] * dim]
     one = json.loads((tmp_path / "one.geojson").read_text())
     assert one["geometry"] == {"type": "Point", "coordinates": [0.0] * dim}  # a line takes two
     assert one["properties"]["heading"] == [None]
@@ -646,6 +656,10 @@ def test_what_is_no_path_file(tmp_path: Path) -> None:
         file.write_text(text)
         with pytest.raises(FormatError, match=word):
             read_path(file)
+    for text in ("{", "[]", '{"points": [{"x": 1}]}', '{"points": []}'):
+        (tmp_path / "p.json").write_text(text)
+        with pytest.raises(FormatError, match=r"p\.json: not a path that hexmap wrote as \.json"):
+            read_path(tmp_path / "p.json")
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FormatError, match="not text"):
         read_path(file)

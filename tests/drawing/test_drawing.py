@@ -182,7 +182,7 @@ def test_walls_stay_on_a_small_picture_of_a_large_map(tmp_path: Path) -> None:
     map_ = Map([Level(VoxelList.from_cells(line, lattice), VoxelList.empty(lattice))])
     draw_map(map_, tmp_path / "m.png", dpi=30.0)
     image = np.asarray(Image.open(tmp_path / "m.png").convert("RGB"))
-    dark = (image == rgb(SHADES[0])).all(axis=2)
+    dark = (image == rgb(SHADES[-2])).all(axis=2)
     assert dark.any(axis=0).sum() > 0.9 * 8 * 30
 
 
@@ -484,3 +484,18 @@ def test_what_is_no_picture_of_a_path(change: dict[str, Any], tmp_path: Path) ->
     with pytest.raises(ArgumentError):
         draw_path(points, path, graph, **values)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_far_ends_of_a_few_rays_do_not_make_the_page() -> None:
+    rng = np.random.default_rng(8)
+    angle = rng.uniform(0, 2 * np.pi, 2000)
+    walls = np.clip(8.0 * np.column_stack([np.cos(angle), np.sin(angle)]), -5.0, 5.0)
+    room = rng.uniform(-5, 5, (20_000, 2))
+    ray = np.column_stack([np.full(900, 1.0), np.linspace(5.0, 40.0, 900)])  # 4% of what is free
+    far = np.column_stack([np.linspace(0.9, 1.1, 30), np.full(30, 40.0)])  # where it ends, a hit a cell
+    hits = np.concatenate([np.full(len(walls), 200), np.ones(len(far), np.int64)])
+    top = np.vstack(bulk(np.vstack([walls, far]), np.vstack([room, ray]), hits=hits)).max(axis=0)[1]
+    assert 5.0 <= top < 8.0
+    # A place without walls is no ray.
+    field = np.vstack([room, rng.uniform(5, 15, (9000, 2))])
+    assert np.vstack(bulk(walls, field, hits=np.ones(len(walls), np.int64))).max() > 14.0

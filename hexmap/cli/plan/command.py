@@ -59,7 +59,12 @@ def plan(
     goal: Annotated[Any, typer.Option("--to", help="Where to go, m.", **_POSITION)],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Where to write the path, headings in radians (.csv, .json, .geojson)."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Where to write the path (.csv, .json, .geojson): headings in radians; length is the distance along "
+            "the path from its start, m.",
+        ),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw it (.png, .svg, .pdf).")] = None,
     whole: Annotated[bool, typer.Option("--whole", help="Draw the whole map, not just around the path.")] = False,
@@ -90,7 +95,12 @@ def plan(
     bidirectional: Annotated[bool, typer.Option("--bidirectional", help="A* from both ends.")] = False,
     shortcut: Annotated[bool, typer.Option("--shortcut", help="Straighten the path by line of sight.")] = False,
     nearest: Annotated[
-        bool, typer.Option("--nearest", help="Stop next to a goal that cannot be reached; with A* only.")
+        bool,
+        typer.Option(
+            "--nearest",
+            help="Stop as near as possible to a goal that cannot be reached; the first line says how far off, and the "
+            "exit code is 0. With A* only.",
+        ),
     ] = False,
     neighbourhood: Annotated[
         Any,
@@ -109,7 +119,8 @@ def plan(
     resolution: Annotated[
         float | None,
         typer.Option(
-            help="Resolution of that lattice, m. At the size of the source's own cells paths leak through thin walls.",
+            help="Resolution of that lattice, m. A cell that reaches into an occupied one of the source is blocked: "
+            "the finer, the narrower the passages that stay open.",
             show_default="half the source's cell in the plane, the source's cell in space; of hexmap's maps their own",
         ),
     ] = None,
@@ -121,7 +132,8 @@ def plan(
 ) -> None:
     """Look for a path between two positions in a map: straight lines, or with --planner astar moves of the lattice.
 
-    The path begins in --from and ends in --to; between them it turns at centres of cells.
+    The path begins in --from and ends in --to; between them it turns at centres of cells. No piece of it runs through
+    an occupied cell of the source: a cell of the lattice that reaches into one is blocked.
     """
     from hexmap.io.file_kinds import is_parquet
     from hexmap.io.map_file import load_map
@@ -173,6 +185,11 @@ def plan(
 
         path = straighten(graph, path, across_terrain=True, taut=True)
     path = between_points(graph, path, query.start, query.goal)
+    if not path.goal_reached:
+        say(
+            f"the goal was not reached: the path stops at {in_metres(path.points[-1].tolist())}, "
+            f"{math.dist(path.points[-1], query.goal):.2f} m away from it"
+        )
     inner = " x ".join(f"{int(s):,}" for s in graph.inner_shape)
     say(
         f"{map}: {graph.lattice.title} lattice at {graph.lattice.resolution:g} m{planning_map.source}, "
@@ -252,11 +269,6 @@ def _report(path: PlannedPath, planning_map: PlanningMap, query: Query) -> None:
         f"length {path.length:.3f} m, cost {cost}, turning {math.degrees(path.turning):.0f} deg, {room}, "
         f"{counted(len(path), 'point') if straight else counted(met, 'cell')}"
     )
-    if not path.goal_reached:
-        say(
-            f"the goal was not reached: the path stops at {in_metres(path.points[-1].tolist())}, "
-            f"{math.dist(path.points[-1], query.goal):.2f} m away from it"
-        )
     # Of any angle, nothing but the straight line bounds the cost from below.
     times = (
         f"{path.bound:.4g} times the straight line"

@@ -79,11 +79,12 @@ def own_map(
     lattice: Lattice | str | None = None,
     resolution: float | None = None,
 ) -> PlanningMap:
-    """Return a level of a map of hexmap read from ``path``, on its own lattice or by the centres of another's cells."""
+    """Return a level of a map of hexmap read from ``path``, on its own lattice or another."""
     import numpy as np
 
     from hexmap.base.errors import ArgumentError
     from hexmap.graph.lattice_graph import LatticeGraph
+    from hexmap.graph.meeting import block_met
     from hexmap.lattice.convert import as_lattice
     from hexmap.maps.cell_state import CellState
 
@@ -114,6 +115,8 @@ def own_map(
         lambda points: np.isin(state_at(points), passable), on, low, high, neighbourhood=query.neighbourhood,
         occupied_at=lambda points: state_at(points) == CellState.OCCUPIED,
     )  # fmt: skip
+    # By their whole area, so that no line between centres runs through what is occupied.
+    graph = block_met(graph, states.occupied.centres(), own.cell.vertices)
     return PlanningMap(path, graph, state_at, low, high, f" on {own.title} cells of {own.resolution:g} m")
 
 
@@ -142,7 +145,7 @@ def foreign_map(
         raise ArgumentError(f"{path}: the map is of dimension {grid.dim}, the lattice {on.name} of {on.dim}")
     low, high = np.asarray(grid.low), np.asarray(grid.high)
     _check_size(path, on, low, high)
-    graph = grid.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood)
+    graph = grid.to_graph(on, unknown=query.unknown.value, neighbourhood=query.neighbourhood, rule="area")
     source = f" on cells of {grid.cell:g} m"
     return PlanningMap(path, graph, grid.state_at, low, high, source, grid.has_unknown, grid.y_down)
 

@@ -40,7 +40,7 @@ def find_path(planning_map: PlanningMap, graph: LatticeGraph, query: Query) -> P
         text, helps = _why(error, planning_map, graph, query, cells)
         other = query.planner is not Planner.astar and not query.is_default
         if query.nearest or other or error.reason.startswith("start"):
-            helps.remove("--nearest")
+            helps = [help for help in helps if help != "--nearest"]
         advice = f"; {' or '.join(helps)} may help" if helps else ""
         raise NoPath(error.reason, text + advice) from error
 
@@ -163,7 +163,7 @@ def _why(
             f"{axis} from {low:.2f} to {high:.2f} m"
             for axis, low, high in zip("xyz", planning_map.low, planning_map.high, strict=False)
         )
-        return f"{where} and the map has {extent}", ["--nearest"]
+        return f"{where} and the map has {extent}", []
     if "blocked" in error.reason:
         cell = np.array([cells[at]])
         flat = planning_map.graph.index_to_flat(cell)
@@ -175,6 +175,10 @@ def _why(
         elif planning_map.state_at(planning_map.graph.lattice.centres(cell))[0] == CellState.UNKNOWN:
             text = f"{where} is unknown"
             helps += open_up
+        elif planning_map.state_at(planning_map.graph.lattice.centres(cell))[0] == CellState.FREE:
+            size = planning_map.graph.lattice.resolution
+            text = f"{where} of {size:g} m reaches into an occupied cell of the map"
+            helps.append("a finer --resolution")
         else:
             text = f"{where} is occupied"
         return text + _nearest_free(graph, (start, goal)[at], cells[1 - at], ("--to", "--from")[at]), helps

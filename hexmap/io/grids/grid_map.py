@@ -248,11 +248,17 @@ class GridMap:
         unknown: Literal["blocked", "free"] = "blocked",
         neighbourhood: Neighbourhood = None,
         max_cells: int | None = None,
+        rule: Literal["centre", "area"] = "centre",
     ) -> LatticeGraph:
         """Rasterise the grid onto a lattice: a cell of the lattice is what its centre lies in.
 
-        At the resolution of :attr:`cell` a square or cubic lattice gives a MovingAI or Warframe map index for index.
-        On another lattice of the same cell size routes leak through walls of one cell: take a half or a quarter of it.
+        With the rule "area" a cell that meets the inside of an occupied cell of the grid is blocked as well, wherever
+        its centre lies: no path of the graph, straight lines from cell to cell included, runs through an occupied
+        cell of the grid. Passages that are narrower than two cells of the lattice may close.
+
+        With "centre" paths may cut off corners. At the resolution of :attr:`cell` a square or cubic lattice gives a
+        MovingAI or Warframe map index for index. On another lattice of the same cell size routes leak through walls of
+        one cell: take a half or a quarter of it.
         Clearance to an obstacle's centre is measured from the centres of the lattice's cells that lie in occupied
         cells of the grid, clearance to an obstacle's cell from the grid's own occupied squares or cubes, turned
         as they are; unknown cells and what lies outside are no obstacles.
@@ -263,15 +269,19 @@ class GridMap:
             unknown: what unknown cells count as.
             neighbourhood: None for ``lattice.neighbours``, or nearest, faces, extended, or a size.
             max_cells: how large a window may be, padding included.
+            rule: whether occupied cells of the grid block by "centre" or by "area"; what is unknown or outside does
+                by the centre always.
 
         Raises:
-            ArgumentError: the lattice has another dimension, no centre lies in the grid's box, or the
-                window is too large.
+            ArgumentError: there is no such option, the lattice has another dimension, no centre lies in the grid's
+                box, or the window is too large.
             BoundsError: the window leaves the range of indices.
         """
         from hexmap.graph import lattice_graph as graphs
 
         _check_unknown(unknown)
+        if rule not in ("centre", "area"):
+            raise ArgumentError(f"occupied cells block by centre or area, not by {rule!r}")
         if isinstance(lattice, str):
             lattice = as_lattice(lattice, 0.5 * self.cell if self.dim == 2 else self.cell)
         lattice = as_lattice(lattice)
@@ -283,7 +293,7 @@ class GridMap:
         if self.yaw != 0.0 or self.has_unknown:
             low, high = self.low - grain, self.high + grain
             occupied_at = self._occupied_at
-        return graphs.LatticeGraph.rasterise(
+        graph = graphs.LatticeGraph.rasterise(
             lambda points: self.free_at(points, unknown),
             lattice,
             low,
@@ -293,6 +303,13 @@ class GridMap:
             occupied_at=occupied_at,
             boxes=self._occupied_boxes,
         )
+        if rule == "centre":
+            return graph
+        from hexmap.graph.meeting import block_met
+
+        boxes = self._occupied_boxes()
+        corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * self.dim), axis=-1).reshape(-1, self.dim)
+        return block_met(graph, boxes.centres, boxes.edge * corners @ boxes.frame)
 
     def to_states(self, lattice: LatticeLike | None = None) -> States:
         """Return the occupied and free cells of the map on a lattice, for matching scans against it.
