@@ -50,7 +50,7 @@ def planning(
 ) -> None:
     """Square against hexagonal grids, cubic against FCC and BCC: length, turning, clearance, effort, time."""
     from hexmap.base.errors import ArgumentError, FormatError, HexmapError
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_own_map
     from planners.benchmark.benchmark import planning_benchmark
     from planners.benchmark.report_queries import QUERIES
     from planners.benchmark.settings import BenchmarkSettings
@@ -58,7 +58,7 @@ def planning(
     check_folder(output)
     paths = [found(path) for path in maps]
     for path in paths:
-        if is_parquet(path):
+        if is_own_map(path):
             raise FormatError(
                 f"{path}: the benchmark compares lattices on squares or cubes of others, and a map of hexmap is on one "
                 "lattice already; hexmap export writes it as .yaml"

@@ -162,9 +162,9 @@ def build(
         return
     old = None
     if continue_map is not None:
-        from hexmap.io.map_file import load_map
+        from hexmap.io.open_map import open_map
 
-        old = load_map(continue_map)
+        old = open_map(continue_map)
     settings = _settings(
         config if old is None or config is not None else continue_map,
         lattice=on,
@@ -201,12 +201,12 @@ def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
     """
     from hexmap.base.errors import ArgumentError
     from hexmap.io.fingerprint import fingerprint
-    from hexmap.io.map_file import read_metadata
+    from hexmap.io.open_map import map_metadata
 
     if len(logs) < 2 and continue_map is None:
         return
     prints = [fingerprint(log) for log in logs]
-    sources = [] if continue_map is None else read_metadata(continue_map)["provenance"]
+    sources = [] if continue_map is None else map_metadata(continue_map)["provenance"]
     known = {str(s.get("log_id")).partition(":")[0] for s in sources if isinstance(s, dict)}
     for k, log in enumerate(logs):
         if prints[k] is not None and prints[k] in prints[:k]:
@@ -247,11 +247,11 @@ def _build_in_space(
 ) -> None:
     """Build the map of a LiDAR's logs."""
     from hexmap.base.errors import ArgumentError, HexmapError
-    from hexmap.io.map_file import load_map
+    from hexmap.io.open_map import open_map
 
     old = None
     if continue_map is not None:
-        old = load_map(continue_map)
+        old = open_map(continue_map)
         if old.lattice.dim != 3:
             raise ArgumentError(f"{continue_map} is a map of the plane, and {logs[0]} the log of a LiDAR")
         config = config or continue_map
@@ -335,12 +335,13 @@ def _read_config(path: Path) -> dict[str, Any]:
     import json
 
     from hexmap.base.errors import FileAccessError, FormatError
-    from hexmap.io.file_kinds import is_parquet
-    from hexmap.io.map_file import load_map
+    from hexmap.io.file_kinds import is_own_map
+    from hexmap.io.open_map import map_metadata
 
     try:
-        if is_parquet(path):
-            settings = [s["settings"] for s in load_map(path).sources() if isinstance(s.get("settings"), dict)]
+        if is_own_map(path):
+            sources = [s for s in map_metadata(path)["provenance"] if isinstance(s, dict)]
+            settings = [s["settings"] for s in sources if isinstance(s.get("settings"), dict)]
             if len(settings) != 1 and any(s != settings[0] for s in settings):
                 raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")
             if not settings:

@@ -10,7 +10,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import check_applies, check_outputs, say, warn, wrote
-from hexmap.cli.viewing import LevelOption, MinHits, MinRatio, rule_of
+from hexmap.cli.viewing import LevelOption, MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
     from hexmap.maps.state_rule import States
@@ -87,7 +87,7 @@ def show(
     seed: clouds.Seed = 0,
 ) -> None:
     """Draw a map with its true cells: flat, or in space as shaded polyhedra or a slice of them."""
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_own_map
     from hexmap.io.grids.open_grid import is_grid
 
     if output is None and not viewer:
@@ -99,21 +99,22 @@ def show(
 
         poses = read_trajectory(trajectory)
     size = clouds.cell_size(resolution, volume, None, 3)
+    own = is_own_map(source)
+    foreign = not own and is_grid(source)
     of_points = {
         "--format": format is not None, "--units": units != "m", "--axes": axes != "xyz",
         "--columns": columns is not None, "--offset": offset != "auto", "--min-range": min_range != 0.0,
-        "--max-range": max_range is not None, "--crop": crop is not None, "--unique": unique,
+        "--max-range": max_range is not None, "--crop": crop is not None and not own, "--unique": unique,
         "--sample": sample is not None, "--seed": seed != 0,
     }  # fmt: skip
     of_maps = {"--level": level != 0, "--min-hits": min_hits is not None, "--min-ratio": min_ratio is not None}
-    own, foreign = is_parquet(source), is_grid(source)
     if own or foreign:
         check_applies(source, "these say how points are read, and this is a map", of_points)
     if not own:
         what = "only maps of hexmap have levels and hits" if foreign else "points have no levels, hits or poses"
         check_applies(source, what, of_maps if foreign else {**of_maps, "--trajectory": trajectory is not None})
     if own:
-        scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None)
+        scene = _own_map(source, level, min_hits, min_ratio, lattice is not None or size is not None, crop)
     elif foreign:
         scene = _map_of_others(source, lattice, size)
     else:
@@ -132,14 +133,15 @@ def show(
         _show_solids(scene, output, view, cut_above, poses, viewer, whole)
 
 
-def _own_map(map: Path, level: int, min_hits: int | None, min_ratio: float | None, about_points: bool) -> _Scene:
+def _own_map(
+    map: Path, level: int, min_hits: int | None, min_ratio: float | None, about_points: bool, crop: str | None
+) -> _Scene:
     """Return a level of a map of hexmap."""
     from hexmap.base.errors import ArgumentError
-    from hexmap.io.map_file import load_map
 
     if about_points:
         raise ArgumentError(f"{map}: a map has its lattice; --lattice, --volume and --resolution are for points")
-    loaded = load_map(map)
+    loaded = cropped(map, crop)
     states = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level)
     return _Scene(states, f"level {level}, {states.occupied.lattice.resolution:g} m")
 
