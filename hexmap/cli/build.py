@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +22,7 @@ from hexmap.cli.console import (
     warn_of_size,
     wrote,
 )
+from hexmap.cli.fleet import Cluster, build_fleet_maps
 from hexmap.cli.lattice_options import Basis, own_lattice
 from hexmap.cli.log_options import (
     AngleMin,
@@ -116,8 +117,13 @@ def build(
         bool | None, typer.Option(help="Count what a LiDAR's beams went through.", show_default="on")
     ] = None,
     level: Annotated[bool | None, typer.Option(help="Turn a LiDAR's map so that floors are level.")] = None,
+    fleet: Annotated[
+        bool, typer.Option("--fleet", help="A map of each log, in the folder --output; those that are there are kept.")
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Processes of a fleet; the maps do not depend on it.")] = 1,
+    cluster: Cluster = None,
 ) -> None:
-    """Build a map from a log: match every scan, or take given poses, and fuse."""
+    """Build a map from a log: match every scan, or take given poses, and fuse. With --fleet, a map of each log."""
     with progress_line("loading", lambda: 0.0):
         from hexmap.base.errors import ArgumentError, TrajectoryError
         from hexmap.drawing.map_drawing import check_picture
@@ -125,12 +131,14 @@ def build(
         from hexmap.io.logs.open_log import open_log
         from hexmap.io.trajectories import read_trajectory
 
+    _check_fleet(fleet, dict(locals()))
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
-    check_outputs(
-        {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
-        tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
-    )
-    check_map_output(output)
+    if not fleet:
+        check_outputs(
+            {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
+            tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
+        )
+        check_map_output(output)
     warn_of_size(resolution)
     for path in (picture, loops_picture):
         if path is not None:
@@ -145,15 +153,18 @@ def build(
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
         if path is not None and len(logs) > 1:
             raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
-    _check_twice(logs, continue_map)
-    asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
+    if not fleet:
+        _check_twice(logs, continue_map)
+    asked = {"several logs": len(logs) > 1 and not fleet, "--continue": continue_map, "--checkpoint": checkpoint}
     for option in (name for name, value in asked.items() if value):
         if poses is not None or not loop_closure:
             how = "--poses" if poses is not None else "--no-loop-closure"
             raise ArgumentError(f"{option} and {how} do not go together: it takes runs whose loops are closed")
     if in_space:
         _build_in_space(
-            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
+            logs,
+            _FleetOutputs(output, workers, cluster) if fleet
+            else LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
             None if associate is None else associate.value, loop_closure, continue_map, checkpoint,
             lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
             free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
@@ -181,6 +192,9 @@ def build(
         rule={"min_hits": min_hits, "min_ratio": min_ratio},
         log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic, scan_frame),
     )
+    if fleet:
+        build_fleet_maps(logs, output, settings, loop_closure, workers, cluster)
+        return
     sources = [open_log(log, settings.log) for log in logs]
     given = read_trajectory(poses) if poses is not None else None
     if given is not None and not given.planar:
@@ -191,6 +205,41 @@ def build(
     )
     if result.slam is not None:
         _write_loops(result, settings, loops, loops_picture, graph, covariance)
+
+
+@dataclass(frozen=True)
+class _FleetOutputs:
+    """Where the maps of many logs go, and who makes them."""
+
+    folder: Path
+    workers: int
+    cluster: str | None
+
+
+# Options that are of one map alone.
+_OF_ONE_MAP = (
+    "trajectory", "picture", "loops", "loops_picture", "graph", "covariance", "continue_map", "checkpoint", "poses",
+    "associate",
+)  # fmt: skip
+
+
+def _check_fleet(fleet: bool, options: dict[str, Any]) -> None:
+    """Refuse options that are for many logs alone, and those that are for one map.
+
+    Raises:
+        BadParameter: naming the option.
+    """
+    if not fleet:
+        for name, is_set in (("--workers", options["workers"] != 1), ("--cluster", options["cluster"] is not None)):
+            if is_set:
+                raise typer.BadParameter(f"{name} is for many logs, a map of each, with --fleet")
+        return
+    for name in _OF_ONE_MAP:
+        if options[name] is not None:
+            option = "--continue" if name == "continue_map" else f"--{name.replace('_', '-')}"
+            raise typer.BadParameter(f"{option} is of one map, and --fleet makes one of each log")
+    if options["output"].suffix.lower() == ".parquet":
+        raise typer.BadParameter(f"--output: {options['output']}: the maps of a fleet go into a folder")
 
 
 def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
@@ -236,7 +285,7 @@ def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:
 
 def _build_in_space(
     logs: list[Path],
-    outputs: LidarOutputs,
+    outputs: LidarOutputs | _FleetOutputs,
     config: Path | None,
     poses: Path | None,
     associate: str | None,
@@ -260,6 +309,9 @@ def _build_in_space(
         settings = lidar_settings(values, options)
     except HexmapError as error:
         raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
+    if isinstance(outputs, _FleetOutputs):
+        build_fleet_maps(logs, outputs.folder, settings, close, outputs.workers, outputs.cluster)
+        return
     build_lidar(logs, settings, outputs, poses, associate, close, old, checkpoint)
 
 
