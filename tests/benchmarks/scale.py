@@ -38,7 +38,8 @@ c.execute(f"set temp_directory='{sys.argv[2]}.tmp'")
 t = time.perf_counter()
 c.execute(f"copy (select level,a,b,sum(hits)::bigint hits,sum(passes)::bigint passes from '{sys.argv[1]}' "
           f"group by level,a,b order by level,a,b) to '{sys.argv[2]}' (format parquet, compression zstd)")
-print(time.perf_counter() - t, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+u = resource.getrusage(resource.RUSAGE_SELF)
+print(time.perf_counter() - t, u.ru_utime + u.ru_stime, u.ru_maxrss)
 """
 
 
@@ -70,14 +71,14 @@ def make_maps(folder: Path, rows: int) -> list[Path]:
     return paths
 
 
-def measured(command: list[str]) -> tuple[float, float]:
-    """Run a command; returns its seconds and the peak memory, GB."""
+def measured(command: list[str]) -> tuple[float, float, float]:
+    """Run a command; returns its seconds, those of the processor (and of its children), and the peak memory, GB."""
     before = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise SystemExit(f"{' '.join(command[:4])} ended with {status}")
-    return time.perf_counter() - before, usage.ru_maxrss / 1e6
+    return time.perf_counter() - before, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e6
 
 
 def merge(options: argparse.Namespace) -> None:
@@ -89,12 +90,12 @@ def merge(options: argparse.Namespace) -> None:
         size = sum(path.stat().st_size for path in paths) / 1e6
         out = folder / "all"
         command = [sys.executable, "-m", "hexmap", "merge", *map(str, paths), "-o", str(out), "--tiles", str(TILE)]
-        seconds, memory = measured(command)
+        seconds, cpu, memory = measured(command)
         made = MapFolder.open(out)
         total = sum(read_rows(path) for path in paths)
         print(
             f"hexmap: {total:,} rows ({size:,.0f} MB) into {made.rows:,} in {len(made.tiles)} tiles: {seconds:.1f} s, "
-            f"{1e9 * seconds / total:.0f} ns a row, {memory:.2f} GB"
+            f"{1e9 * seconds / total:.0f} ns a row; {cpu:.1f} s of a processor; {memory:.2f} GB"
         )
         if options.duckdb:
             pattern, one = str(folder / "made-*.parquet"), str(folder / "duckdb.parquet")
@@ -104,8 +105,11 @@ def merge(options: argparse.Namespace) -> None:
             if done.returncode:
                 print(f"DuckDB: {done.stderr.strip().splitlines()[-1]}")
                 continue
-            took, peak = map(float, done.stdout.split()[-2:])
-            print(f"DuckDB: the same: {took:.1f} s, {1e9 * took / total:.0f} ns a row, {peak / 1e6:.2f} GB")
+            took, cpu, peak = map(float, done.stdout.split()[-3:])
+            print(
+                f"DuckDB: the same: {took:.1f} s, {1e9 * took / total:.0f} ns a row; {cpu:.1f} s of a processor; "
+                f"{peak / 1e6:.2f} GB"
+            )
 
 
 def read_rows(path: Path) -> int:
@@ -132,11 +136,12 @@ def fleet(options: argparse.Namespace) -> None:
         out = options.folder / f"maps-{workers}"
         for old in out.glob("*.parquet"):
             old.unlink()
-        seconds, memory = measured(
+        seconds, cpu, _ = measured(
             [*hexmap, "build", "--fleet", *map(str, paths), "-o", str(out), "--workers", str(workers)]
         )
         contents[workers] = [path.read_bytes() for path in sorted(out.glob("*.parquet"))]
-        print(f"{len(paths)} logs of {options.duration:g} s, {workers} workers: {seconds:.1f} s, {memory:.2f} GB each")
+        what = f"{len(paths)} logs of {options.duration:g} s, {workers} workers"
+        print(f"{what}: {seconds:.1f} s, {cpu:.1f} s of a processor")
     print("the same bits" if contents[1] == contents[2] else "DIFFERENT BITS")
 
 
@@ -152,7 +157,7 @@ def kill(options: argparse.Namespace) -> None:
         folder = MapFolder.open(out)
         return str([(t.file, (out / t.file).stat().st_size == t.size) for t in folder.tiles])
 
-    whole, _ = measured(new)
+    whole = measured(new)[0]
     after = state()
     measured(old)
     before = state()

@@ -173,7 +173,7 @@ def test_options_of_maps_do_not_apply_to_points(
 
 @pytest.mark.parametrize(
     "option",
-    [("--units", "mm"), ("--sample", "9"), ("--seed", "1"), ("--unique",), ("--crop", "0,0,1,1"), ("--max-range", "3"),
+    [("--units", "mm"), ("--sample", "9"), ("--seed", "1"), ("--unique",), ("--max-range", "3"),
      ("--view", "0", "90"), ("--cut-above", "1")],
     ids=" ".join,
 )  # fmt: skip
