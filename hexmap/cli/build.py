@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,7 +22,7 @@ from hexmap.cli.console import (
     warn_of_size,
     wrote,
 )
-from hexmap.cli.fleet import Cluster, build_fleet_maps
+from hexmap.cli.fleet import Cluster, FleetOutputs, build_fleet_maps, check_fleet
 from hexmap.cli.lattice_options import Basis, own_lattice
 from hexmap.cli.log_options import (
     AngleMin,
@@ -131,7 +131,7 @@ def build(
         from hexmap.io.logs.open_log import open_log
         from hexmap.io.trajectories import read_trajectory
 
-    _check_fleet(fleet, dict(locals()))
+    check_fleet(fleet, dict(locals()))
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     if not fleet:
         check_outputs(
@@ -163,7 +163,7 @@ def build(
     if in_space:
         _build_in_space(
             logs,
-            _FleetOutputs(output, workers, cluster) if fleet
+            FleetOutputs(output, workers, cluster) if fleet
             else LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
             None if associate is None else associate.value, loop_closure, continue_map, checkpoint,
             lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
@@ -205,41 +205,6 @@ def build(
     )
     if result.slam is not None:
         _write_loops(result, settings, loops, loops_picture, graph, covariance)
-
-
-@dataclass(frozen=True)
-class _FleetOutputs:
-    """Where the maps of many logs go, and who makes them."""
-
-    folder: Path
-    workers: int
-    cluster: str | None
-
-
-# Options that are of one map alone.
-_OF_ONE_MAP = (
-    "trajectory", "picture", "loops", "loops_picture", "graph", "covariance", "continue_map", "checkpoint", "poses",
-    "associate",
-)  # fmt: skip
-
-
-def _check_fleet(fleet: bool, options: dict[str, Any]) -> None:
-    """Refuse options that are for many logs alone, and those that are for one map.
-
-    Raises:
-        BadParameter: naming the option.
-    """
-    if not fleet:
-        for name, is_set in (("--workers", options["workers"] != 1), ("--cluster", options["cluster"] is not None)):
-            if is_set:
-                raise typer.BadParameter(f"{name} is for many logs, a map of each, with --fleet")
-        return
-    for name in _OF_ONE_MAP:
-        if options[name] is not None:
-            option = "--continue" if name == "continue_map" else f"--{name.replace('_', '-')}"
-            raise typer.BadParameter(f"{option} is of one map, and --fleet makes one of each log")
-    if options["output"].suffix.lower() == ".parquet":
-        raise typer.BadParameter(f"--output: {options['output']}: the maps of a fleet go into a folder")
 
 
 def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
@@ -285,7 +250,7 @@ def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:
 
 def _build_in_space(
     logs: list[Path],
-    outputs: LidarOutputs | _FleetOutputs,
+    outputs: LidarOutputs | FleetOutputs,
     config: Path | None,
     poses: Path | None,
     associate: str | None,
@@ -309,7 +274,7 @@ def _build_in_space(
         settings = lidar_settings(values, options)
     except HexmapError as error:
         raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
-    if isinstance(outputs, _FleetOutputs):
+    if isinstance(outputs, FleetOutputs):
         build_fleet_maps(logs, outputs.folder, settings, close, outputs.workers, outputs.cluster)
         return
     build_lidar(logs, settings, outputs, poses, associate, close, old, checkpoint)

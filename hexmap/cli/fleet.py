@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,12 +14,47 @@ if TYPE_CHECKING:
     from localisation.lidar_settings import LidarSettings
     from localisation.settings import MappingSettings
 
-__all__ = ["Cluster", "build_fleet_maps"]
+__all__ = ["Cluster", "FleetOutputs", "build_fleet_maps", "check_fleet"]
 
 Cluster = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Work on the Dask cluster of this scheduler, tcp://HOST:PORT."),
 ]
+
+
+@dataclass(frozen=True)
+class FleetOutputs:
+    """Where the maps of many logs go, and who makes them."""
+
+    folder: Path
+    workers: int
+    cluster: str | None
+
+
+# Options that are of one map alone.
+_OF_ONE_MAP = (
+    "trajectory", "picture", "loops", "loops_picture", "graph", "covariance", "continue_map", "checkpoint", "poses",
+    "associate",
+)  # fmt: skip
+
+
+def check_fleet(fleet: bool, options: dict[str, Any]) -> None:
+    """Refuse options that are for many logs alone, and those that are for one map.
+
+    Raises:
+        BadParameter: naming the option.
+    """
+    if not fleet:
+        for name, is_set in (("--workers", options["workers"] != 1), ("--cluster", options["cluster"] is not None)):
+            if is_set:
+                raise typer.BadParameter(f"{name} is for many logs, a map of each, with --fleet")
+        return
+    for name in _OF_ONE_MAP:
+        if options[name] is not None:
+            option = "--continue" if name == "continue_map" else f"--{name.replace('_', '-')}"
+            raise typer.BadParameter(f"{option} is of one map, and --fleet makes one of each log")
+    if options["output"].suffix.lower() == ".parquet":
+        raise typer.BadParameter(f"--output: {options['output']}: the maps of a fleet go into a folder")
 
 
 def build_fleet_maps(
