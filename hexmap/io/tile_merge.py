@@ -7,6 +7,7 @@ level by level within a step; so of each map and level one batch is in memory, a
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import tempfile
@@ -76,17 +77,24 @@ def merge_maps(
     check_folder(target)
     merged = _merged_empty(sources, same_frame, again)
     cells = tile_cells(merged.lattice, len(merged.levels), tiles)
-    with tempfile.TemporaryDirectory(
-        prefix=".merge-", dir=target.absolute().parent, ignore_cleanup_errors=True
-    ) as scratch:
-        rounds = itertools.count()
-        while len(sources) > _SIDE_BY_SIDE:
-            groups = [sources[i : i + _SIDE_BY_SIDE] for i in range(0, len(sources), _SIDE_BY_SIDE)]
-            sources = [
-                _merge_side_by_side(group, Path(scratch) / f"{next(rounds)}", merged, cells, None) for group in groups
-            ]
+    with contextlib.ExitStack() as stack:
+        if len(sources) > _SIDE_BY_SIDE:
+            # Beside the output: the folder of the system may be a small one, in memory.
+            beside = tempfile.TemporaryDirectory(
+                prefix=".merge-", dir=target.absolute().parent, ignore_cleanup_errors=True
+            )
+            sources = _merge_groups(sources, Path(stack.enter_context(beside)), merged, cells)
         _merge_side_by_side(sources, target, merged, cells, progress)
     return MapFolder.open(target)
+
+
+def _merge_groups(paths: list[Path], scratch: Path, merged: Map, cells: tuple[int, ...]) -> list[Path]:
+    """Merge maps in groups until so few are left that they can be read side by side."""
+    numbers = itertools.count()
+    while len(paths) > _SIDE_BY_SIDE:
+        groups = [paths[i : i + _SIDE_BY_SIDE] for i in range(0, len(paths), _SIDE_BY_SIDE)]
+        paths = [_merge_side_by_side(group, scratch / str(next(numbers)), merged, cells, None) for group in groups]
+    return paths
 
 
 def _merged_empty(paths: Sequence[Path], same_frame: bool, again: bool) -> Map:

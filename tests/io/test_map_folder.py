@@ -200,56 +200,75 @@ def test_a_damaged_row_or_manifest_is_named(tmp_path: Path) -> None:
         open_map(tmp_path / "all")
 
 
-def test_commands_take_a_map_of_tiles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, out = tmp_path / "room.clf", tmp_path / "all"
-    assert main(["simulate", "room", "-o", str(log), "--truth", str(tmp_path / "t.tum"), "--duration", "8"]) == 0
-    one = tmp_path / "one.parquet"
-    assert main(["build", str(log), "-o", str(one), "--poses", str(tmp_path / "t.tum")]) == 0
-    assert main(["merge", str(one), "-o", str(out), "--tiles", "3.2"]) == 0
-    assert open_map(out) == load_map(one)
-    known, pose = load_map(one), (tmp_path / "t.tum").read_text().split("\n")[0].split()
-    x, y = float(pose[1]), float(pose[2])
-    box = f"{x - 2},{y - 2},{x + 2},{y + 2}"
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of a room, its map, and the same as tiles."""
+    here = tmp_path_factory.mktemp("room")
+    assert main(["simulate", "room", "-o", f"{here}/room.clf", "--truth", f"{here}/room.tum", "--duration", "8"]) == 0
+    assert main(["build", f"{here}/room.clf", "-o", f"{here}/one.parquet", "--poses", f"{here}/room.tum"]) == 0
+    assert main(["merge", f"{here}/one.parquet", "-o", f"{here}/all", "--tiles", "3.2"]) == 0
+    return here
+
+
+def around_the_start(room: Path) -> tuple[float, float, str]:
+    x, y = (float(word) for word in (room / "room.tum").read_text().split()[1:3])
+    return x, y, f"{x - 2},{y - 2},{x + 2},{y + 2}"
+
+
+def same_outputs(room: Path, tmp_path: Path, *commands: tuple[str, ...]) -> None:
+    """Run commands on the map and on its tiles, and compare what they write."""
+    results = []
+    for source in ("one.parquet", "all"):
+        (here := tmp_path / source).mkdir()
+        for command, *words in commands:
+            assert main([command, str(room / source), *(word.replace("OUT", str(here)) for word in words)]) == 0
+        results.append([path.read_bytes() for path in sorted(here.iterdir())])
+    assert results[0] == results[1] and len(results[0]) == len(commands)
+
+
+def test_info_and_export_take_a_map_of_tiles(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = load_map(room / "one.parquet")
+    assert open_map(room / "all") == known
     capsys.readouterr()
-    assert main(["info", str(out)]) == 0
+    assert main(["info", str(room / "all")]) == 0
     text = capsys.readouterr().out
     assert f"{len(known.levels[0].hits):,d}" in text and "tiles of 60 x 60 cells" in text and "from room.clf" in text
-    assert main(["info", "--config", str(out)]) == 0
-    results: list[list[bytes]] = []
-    for source in (one, out):
-        here = tmp_path / f"of-{source.stem}"
-        here.mkdir()
-        for command in (
-            ("show", source, "--crop", box, "-o", here / "part.png"),
-            ("export", source, "--crop", box, "-o", here / "part.csv"),
-            ("plan", source, "--from", f"{x} {y}", "--to", f"{x + 0.5} {y}", "--crop", box, "-o", here / "path.csv"),
-        ):
-            assert main([str(word) for word in command]) == 0
-        results.append([path.read_bytes() for path in sorted(here.iterdir())])
-    assert results[0] == results[1]
+    assert main(["info", "--config", str(room / "all")]) == 0
+    _, _, box = around_the_start(room)
+    same_outputs(room, tmp_path, ("export", "--crop", box, "-o", "OUT/a.csv"), ("export", "-o", "OUT/b.ply"))
+
+
+@pytest.mark.long
+def test_show_plan_and_localise_take_a_map_of_tiles(room: Path, tmp_path: Path) -> None:
+    x, y, box = around_the_start(room)
+    same_outputs(
+        room, tmp_path, ("show", "--crop", box, "-o", "OUT/a.png"),
+        ("plan", "--from", f"{x} {y}", "--to", f"{x + 0.5} {y}", "--crop", box, "-o", "OUT/b.csv"),
+        ("localise", str(room / "room.clf"), "-o", "OUT/c.tum"),
+    )  # fmt: skip
 
 
 @pytest.mark.long
 def test_a_killed_merge_leaves_the_old_map_or_the_new_one(tmp_path: Path) -> None:
-    maps = [some_map(Lattice.named("A2", 0.1), seed, 200_000, spread=800.0) for seed in range(4)]
+    maps = [some_map(Lattice.named("A2", 0.1), seed, 200_000, spread=400.0) for seed in range(4)]
     paths, out = saved(tmp_path, maps), tmp_path / "all"
     old, new = maps[0], reduce(Map.merge, maps)
-    merge(paths[:1], out, 6.4)
-    command = [sys.executable, "-m", "hexmap", "merge", *map(str, paths), "-o", str(out), "--tiles", "6.4"]
+    merge(paths[:1], out, 51.2)
+    command = [sys.executable, "-m", "hexmap", "merge", *map(str, paths), "-o", str(out), "--tiles", "51.2"]
     begin = time.monotonic()
     subprocess.run(command, check=True, capture_output=True)
     whole = time.monotonic() - begin
     assert open_map(out) == new
     reference = contents(out)
     rng = np.random.default_rng(5)
-    for _ in range(10):
-        merge(paths[:1], out, 6.4)
+    for _ in range(6):
+        merge(paths[:1], out, 51.2)
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         time.sleep(rng.uniform(0.3 * whole, whole))
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
         assert open_map(out) in (old, new)
-    merge(paths, out, 6.4)
+    merge(paths, out, 51.2)
     assert contents(out) == reference
 
 
