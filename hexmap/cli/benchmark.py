@@ -11,6 +11,7 @@ import typer
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, wrote
 from hexmap.cli.experiments import check_folder, command_line, say_if_resumed, write_report
+from hexmap.cli.fleet import Cluster
 from hexmap.cli.lattice_options import Bases, parse_basis
 from hexmap.cli.plan.map_source import found
 
@@ -46,11 +47,13 @@ def planning(
     max_cells: Annotated[int, typer.Option(help="Largest window; larger ones are left out.")] = 300_000_000,
     basis: Bases = None,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
+    cluster: Cluster = None,
     seed: clouds.Seed = 0,
 ) -> None:
     """Square against hexagonal grids, cubic against FCC and BCC: length, turning, clearance, effort, time."""
     from hexmap.base.errors import ArgumentError, FormatError, HexmapError
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.experiments.cluster import cluster_executor
+    from hexmap.io.file_kinds import is_own_map
     from planners.benchmark.benchmark import planning_benchmark
     from planners.benchmark.report_queries import QUERIES
     from planners.benchmark.settings import BenchmarkSettings
@@ -58,7 +61,7 @@ def planning(
     check_folder(output)
     paths = [found(path) for path in maps]
     for path in paths:
-        if is_parquet(path):
+        if is_own_map(path):
             raise FormatError(
                 f"{path}: the benchmark compares lattices on squares or cubes of others, and a map of hexmap is on one "
                 "lattice already; hexmap export writes it as .yaml"
@@ -85,7 +88,10 @@ def planning(
     say_if_resumed(output)
     first_run_note()
     fraction = [0.0]
-    with progress_line("planning", lambda: fraction[0], "cases") as update:
+    with (
+        cluster_executor(cluster) as executor,
+        progress_line("planning", lambda: fraction[0], "cases") as update,
+    ):
 
         def progress(done: int, total: int) -> None:
             fraction[0] = done / total
@@ -93,7 +99,7 @@ def planning(
 
         outcome = planning_benchmark(
             paths, settings, command=command_line(), folder=output,
-            workers=workers, progress=progress,
+            workers=workers, executor=executor, progress=progress,
         )  # fmt: skip
     write_report(outcome.report, output)
     wrote(output / f"{QUERIES}.csv", "the answer of every planner to every query")

@@ -22,6 +22,7 @@ from hexmap.cli.console import (
     warn_of_size,
     wrote,
 )
+from hexmap.cli.fleet import Cluster, FleetOutputs, build_fleet_maps, check_fleet
 from hexmap.cli.lattice_options import Basis, own_lattice
 from hexmap.cli.log_options import (
     AngleMin,
@@ -116,8 +117,13 @@ def build(
         bool | None, typer.Option(help="Count what a LiDAR's beams went through.", show_default="on")
     ] = None,
     level: Annotated[bool | None, typer.Option(help="Turn a LiDAR's map so that floors are level.")] = None,
+    fleet: Annotated[
+        bool, typer.Option("--fleet", help="A map of each log, in the folder --output; those that are there are kept.")
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Processes of a fleet; the maps do not depend on it.")] = 1,
+    cluster: Cluster = None,
 ) -> None:
-    """Build a map from a log: match every scan, or take given poses, and fuse."""
+    """Build a map from a log: match every scan, or take given poses, and fuse. With --fleet, a map of each log."""
     with progress_line("loading", lambda: 0.0):
         from hexmap.base.errors import ArgumentError, TrajectoryError
         from hexmap.drawing.map_drawing import check_picture
@@ -125,12 +131,14 @@ def build(
         from hexmap.io.logs.open_log import open_log
         from hexmap.io.trajectories import read_trajectory
 
+    check_fleet(fleet, dict(locals()))
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
-    check_outputs(
-        {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
-        tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
-    )
-    check_map_output(output)
+    if not fleet:
+        check_outputs(
+            {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
+            tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
+        )
+        check_map_output(output)
     warn_of_size(resolution)
     for path in (picture, loops_picture):
         if path is not None:
@@ -145,15 +153,18 @@ def build(
             raise ArgumentError(f"{option} says what closing loops found, and {how} closes none")
         if path is not None and len(logs) > 1:
             raise ArgumentError(f"{option} tells of one log, and there are {len(logs)}")
-    _check_twice(logs, continue_map)
-    asked = {"several logs": len(logs) > 1, "--continue": continue_map, "--checkpoint": checkpoint}
+    if not fleet:
+        _check_twice(logs, continue_map)
+    asked = {"several logs": len(logs) > 1 and not fleet, "--continue": continue_map, "--checkpoint": checkpoint}
     for option in (name for name, value in asked.items() if value):
         if poses is not None or not loop_closure:
             how = "--poses" if poses is not None else "--no-loop-closure"
             raise ArgumentError(f"{option} and {how} do not go together: it takes runs whose loops are closed")
     if in_space:
         _build_in_space(
-            logs, LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
+            logs,
+            FleetOutputs(output, workers, cluster) if fleet
+            else LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
             None if associate is None else associate.value, loop_closure, continue_map, checkpoint,
             lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
             free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
@@ -162,9 +173,9 @@ def build(
         return
     old = None
     if continue_map is not None:
-        from hexmap.io.map_file import load_map
+        from hexmap.io.open_map import open_map
 
-        old = load_map(continue_map)
+        old = open_map(continue_map)
     settings = _settings(
         config if old is None or config is not None else continue_map,
         lattice=on,
@@ -181,6 +192,9 @@ def build(
         rule={"min_hits": min_hits, "min_ratio": min_ratio},
         log=log_values(angle_min, angle_step, no_return, laser, scan_topic, odometry_topic, scan_frame),
     )
+    if fleet:
+        build_fleet_maps(logs, output, settings, loop_closure, workers, cluster)
+        return
     sources = [open_log(log, settings.log) for log in logs]
     given = read_trajectory(poses) if poses is not None else None
     if given is not None and not given.planar:
@@ -201,12 +215,12 @@ def _check_twice(logs: list[Path], continue_map: Path | None) -> None:
     """
     from hexmap.base.errors import ArgumentError
     from hexmap.io.fingerprint import fingerprint
-    from hexmap.io.map_file import read_metadata
+    from hexmap.io.open_map import map_metadata
 
     if len(logs) < 2 and continue_map is None:
         return
     prints = [fingerprint(log) for log in logs]
-    sources = [] if continue_map is None else read_metadata(continue_map)["provenance"]
+    sources = [] if continue_map is None else map_metadata(continue_map)["provenance"]
     known = {str(s.get("log_id")).partition(":")[0] for s in sources if isinstance(s, dict)}
     for k, log in enumerate(logs):
         if prints[k] is not None and prints[k] in prints[:k]:
@@ -236,7 +250,7 @@ def _check_kind(log: Path, in_space: bool, options: dict[str, Any]) -> None:
 
 def _build_in_space(
     logs: list[Path],
-    outputs: LidarOutputs,
+    outputs: LidarOutputs | FleetOutputs,
     config: Path | None,
     poses: Path | None,
     associate: str | None,
@@ -247,11 +261,11 @@ def _build_in_space(
 ) -> None:
     """Build the map of a LiDAR's logs."""
     from hexmap.base.errors import ArgumentError, HexmapError
-    from hexmap.io.map_file import load_map
+    from hexmap.io.open_map import open_map
 
     old = None
     if continue_map is not None:
-        old = load_map(continue_map)
+        old = open_map(continue_map)
         if old.lattice.dim != 3:
             raise ArgumentError(f"{continue_map} is a map of the plane, and {logs[0]} the log of a LiDAR")
         config = config or continue_map
@@ -260,6 +274,9 @@ def _build_in_space(
         settings = lidar_settings(values, options)
     except HexmapError as error:
         raise type(error)(f"{config}: {error}" if config is not None else str(error)) from error
+    if isinstance(outputs, FleetOutputs):
+        build_fleet_maps(logs, outputs.folder, settings, close, outputs.workers, outputs.cluster)
+        return
     build_lidar(logs, settings, outputs, poses, associate, close, old, checkpoint)
 
 
@@ -335,12 +352,13 @@ def _read_config(path: Path) -> dict[str, Any]:
     import json
 
     from hexmap.base.errors import FileAccessError, FormatError
-    from hexmap.io.file_kinds import is_parquet
-    from hexmap.io.map_file import load_map
+    from hexmap.io.file_kinds import is_own_map
+    from hexmap.io.open_map import map_metadata
 
     try:
-        if is_parquet(path):
-            settings = [s["settings"] for s in load_map(path).sources() if isinstance(s.get("settings"), dict)]
+        if is_own_map(path):
+            sources = [s for s in map_metadata(path)["provenance"] if isinstance(s, dict)]
+            settings = [s["settings"] for s in sources if isinstance(s.get("settings"), dict)]
             if len(settings) != 1 and any(s != settings[0] for s in settings):
                 raise FormatError(f"{path}: the map came from {len(settings)} configurations; take one as JSON")
             if not settings:

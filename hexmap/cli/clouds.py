@@ -132,7 +132,7 @@ def read_cloud(
     from hexmap.base.errors import ArgumentError
     from hexmap.io.clouds.filters import PointFilter
     from hexmap.io.clouds.read_points import read_points
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_own_map
     from hexmap.io.lidar.open_lidar import is_lidar_log
 
     notes: list[str] = []
@@ -148,8 +148,8 @@ def read_cloud(
     elif poses is not None:
         points, warnings = _of_log(path, poses)
         notes.append(f"The points are those of the log {path.name} at the poses of {poses.name}.")
-    elif is_parquet(path):
-        points, note = _of_map(path, cells)
+    elif is_own_map(path):
+        points, note = _of_map(path, cells, low, high)
         notes.append(note)
     else:
         units, columns = reading.units, reading.columns
@@ -172,12 +172,13 @@ def read_cloud(
     return kept, notes, warnings
 
 
-def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:
+def _of_map(
+    path: Path, cells: float | None, low: tuple[float, ...] | None, high: tuple[float, ...] | None
+) -> tuple[NDArray[np.float64], str]:
     from hexmap.base.errors import ArgumentError
-    from hexmap.io.map_file import load_map
+    from hexmap.io.open_map import map_metadata, open_map
 
-    source = load_map(path)
-    fine = source.lattice.resolution
+    fine = map_metadata(path)["resolution"]
     if cells is None or cells < 10.0 * fine * (1.0 - 1e-9):
         raise ArgumentError(
             f"{path}: the centres of a map's cells pass for points only where the cells asked for are at least ten "
@@ -187,6 +188,8 @@ def _of_map(path: Path, cells: float | None) -> tuple[NDArray[np.float64], str]:
         f"The points are the centres of the {fine:g} m cells of the map {path.name}, not sensor "
         f"readings: the experiment's cells are {cells / fine:.1f} times as wide."
     )
+    boxed = low is not None and len(low) == len(map_metadata(path)["lattice"]["basis"])
+    source = open_map(path, low, high) if boxed else open_map(path)
     return source.state().occupied.centres(), note
 
 

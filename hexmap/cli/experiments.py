@@ -11,6 +11,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say, warn
+from hexmap.cli.fleet import Cluster
 from hexmap.cli.lattice_options import Bases, parse_basis
 
 app = typer.Typer(
@@ -40,6 +41,7 @@ def rotation(
     step: Annotated[float, typer.Option(help="Angle between rotations, degrees.")] = 5.0,
     random: Annotated[int, typer.Option(help="Random rotations with shifts.")] = 200,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it.")] = 1,
+    cluster: Cluster = None,
     seed: clouds.Seed = 0,
     format: clouds.Format = None,
     units: clouds.Units = "m",
@@ -54,6 +56,7 @@ def rotation(
 ) -> None:
     """Rotate a scan and count the cells of every lattice: Table II, Figs 2 to 7, verdicts on the paper's claims."""
     from hexmap.base.errors import ArgumentError
+    from hexmap.experiments.cluster import cluster_executor
     from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.paper.rotation import rotation_experiment
     from hexmap.paper.rotation_settings import RotationSettings
@@ -80,7 +83,10 @@ def rotation(
     say_if_resumed(output)
     first_run_note()
     fraction_done = [0.0]
-    with progress_line("rotating", lambda: fraction_done[0], "cases") as update:
+    with (
+        cluster_executor(cluster) as executor,
+        progress_line("rotating", lambda: fraction_done[0], "cases") as update,
+    ):
 
         def progress(done: int, total: int) -> None:
             fraction_done[0] = done / total
@@ -88,7 +94,7 @@ def rotation(
 
         report = rotation_experiment(
             cloud, settings, source=points.name, command=command_line(), notes=notes, folder=make_folder(output),
-            workers=workers, progress=progress,
+            workers=workers, executor=executor, progress=progress,
         )  # fmt: skip
     write_report(report, output)
 

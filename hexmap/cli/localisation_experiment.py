@@ -13,6 +13,7 @@ import typer
 from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say, warn, wrote
 from hexmap.cli.experiments import Folder, check_folder, command_line, make_folder, say_if_resumed
+from hexmap.cli.fleet import Cluster
 from hexmap.cli.lattice_options import Bases, parse_basis
 
 if TYPE_CHECKING:
@@ -67,12 +68,14 @@ def localisation(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer of everything, for a first look.")] = False,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
+    cluster: Cluster = None,
     seed: clouds.Seed = 0,
 ) -> None:
     """Held-out scans found, matched, localised and mapped on every lattice, with intervals, baselines and verdicts.
 
     An interrupted run goes on where it stopped. Times are in a report of their own, in the folder times.
     """
+    from hexmap.experiments.cluster import cluster_executor
     from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.trajectories import read_trajectory
     from localisation.experiments.run import localisation_experiment
@@ -94,7 +97,10 @@ def localisation(
     say_if_resumed(output)
     first_run_note()
     fraction = [0.0]
-    with progress_line("localising", lambda: fraction[0], "cases") as update:
+    with (
+        cluster_executor(cluster) as executor,
+        progress_line("localising", lambda: fraction[0], "cases") as update,
+    ):
 
         def progress(done: int, total: int) -> None:
             fraction[0] = done / total
@@ -103,7 +109,8 @@ def localisation(
         with _removed_if_empty(output):
             outcome = localisation_experiment(
                 source, settings, poses=reference, test=other, test_poses=other_reference, associate=associate,
-                command=_command(), folder=make_folder(output), workers=workers, progress=progress,
+                command=_command(), folder=make_folder(output), workers=workers, executor=executor,
+                progress=progress,
             )  # fmt: skip
     for text in [*source.warnings, *(other.warnings if other is not None else [])]:
         warn(text)
@@ -139,9 +146,9 @@ def _command() -> str:
         name, _, value = word.partition("=")
         if skip:
             skip = False
-        elif name in ("--workers", "--output", "-o"):
+        elif name in ("--workers", "--cluster", "--output", "-o"):
             skip = not value
-            out += [] if name == "--workers" else ["-o", "report"]
+            out += [] if name in ("--workers", "--cluster") else ["-o", "report"]
         else:
             out.append(word)
     return shlex.join(out)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hexmap.cli.clouds import Crop
 from hexmap.cli.console import check_outputs, first_run_note, progress_line, say, warn, wrote
 from hexmap.cli.localise_in_space import LocaliseOutputs, localise_in_space
 from hexmap.cli.log_options import (
@@ -23,7 +24,7 @@ from hexmap.cli.log_options import (
     log_values,
 )
 from hexmap.cli.plan.map_source import inputs_of
-from hexmap.cli.viewing import MinHits, MinRatio, rule_of
+from hexmap.cli.viewing import MinHits, MinRatio, cropped, rule_of
 
 if TYPE_CHECKING:
     from hexmap.maps.state_rule import States
@@ -34,7 +35,9 @@ _NEEDS = {2: "a laser log needs one of the plane", 3: "a LiDAR's log needs one o
 
 
 def localise(
-    map: Annotated[Path, typer.Argument(help="A map of hexmap (.parquet), or a grid map of others.")],
+    map: Annotated[
+        Path, typer.Argument(help="A map of hexmap (.parquet, or a folder of tiles), or a grid map of others.")
+    ],
     log: Annotated[Path, typer.Argument(help="CARMEN log (plain or .gz), ROS bag, MCAP, or a LiDAR's.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The poses to write (TUM).")],
     start: Annotated[
@@ -65,6 +68,7 @@ def localise(
     scan_topic: ScanTopic = None,
     odometry_topic: OdometryTopic = None,
     scan_frame: ScanFrame = None,
+    crop: Crop = None,
 ) -> None:
     """Find a robot in a map and follow it along a log; no start pose is needed.
 
@@ -90,7 +94,7 @@ def localise(
         }  # fmt: skip
         for option in (name for name, value in planar.items() if value is not None):
             raise ArgumentError(f"{log} is the log of a LiDAR, and {option} is for that of a planar laser")
-        states = _states(map, level, lattice, resolution, min_hits, min_ratio, dim=3)
+        states = _states(map, level, lattice, resolution, min_hits, min_ratio, crop, dim=3)
         ranges = {"min_range": min_range or None, "max_range": max_range, "log": {"topic": scan_topic}}
         localise_in_space(log, map, states, ranges, start, time_limit, LocaliseOutputs(output, csv, picture))
         return
@@ -109,7 +113,7 @@ def localise(
     except ArgumentError as error:
         raise typer.BadParameter(str(error)) from error
     source = open_log(log, reading)
-    states = _states(map, level, lattice, resolution, min_hits, min_ratio)
+    states = _states(map, level, lattice, resolution, min_hits, min_ratio, crop)
     first_run_note()
     placing = {"mount": _pose(mount), "start": _pose(start)}
     _localise(source, map, states, settings, placing, output, csv, picture)
@@ -145,6 +149,7 @@ def _states(
     resolution: float | None,
     min_hits: int | None,
     min_ratio: float | None,
+    crop: str | None,
     dim: int = 2,
 ) -> States:
     """Return the occupied and free cells of a map of hexmap or of others.
@@ -153,21 +158,20 @@ def _states(
         ArgumentError: the map is not of the log's dimension, or an option is about the other kind of map.
     """
     from hexmap.base.errors import ArgumentError, FormatError
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_own_map
     from hexmap.io.grids.open_grid import open_grid
-    from hexmap.io.map_file import load_map
     from hexmap.lattice.lattice import Lattice
 
-    own = is_parquet(path)
+    own = is_own_map(path)
     wrong = {"--lattice": lattice, "--resolution": resolution} if own else {
-        "--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio
+        "--level": level, "--min-hits": min_hits, "--min-ratio": min_ratio, "--crop": crop
     }  # fmt: skip
     extra = [option for option, value in wrong.items() if value is not None]
     if extra:
         what = "a map of hexmap has its lattice and cells" if own else "only maps of hexmap have that"
         raise ArgumentError(f"{path}: {what}; leave out {' and '.join(extra)}")
     if own:
-        loaded = load_map(path)
+        loaded = cropped(path, crop)
         states = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level or 0)
     else:
         grid = open_grid(path)

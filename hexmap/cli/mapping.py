@@ -126,7 +126,9 @@ def merge(
     maps: Annotated[
         list[Path], typer.Argument(help="Two or more maps on the same lattice and in the same frame; one to move it.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The map file to write (.parquet); with --tiles, a folder.")
+    ],
     align: Annotated[
         bool, typer.Option("--align", help="Find each further map in those before it first, and move it there.")
     ] = False,
@@ -141,16 +143,24 @@ def merge(
         ),
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Count a log again that is in several of the maps.")] = False,
+    tiles: Annotated[
+        float | None,
+        typer.Option(help="Write a folder of tiles about so many metres wide; the maps may be larger than memory."),
+    ] = None,
 ) -> None:
     """Merge maps cell by cell; the order does not matter unless they are moved."""
     from hexmap.base.errors import AlignmentError, ArgumentError, BoundsError, LatticeError
-    from hexmap.io.map_file import load_map, save_map
+    from hexmap.io.map_file import save_map
+    from hexmap.io.open_map import open_map
     from hexmap.maps.origin import common_logs, logs_in_words
 
+    if tiles is not None:
+        _merge_tiles(maps, output, tiles, align or transform is not None, same_frame, again)
+        return
     _check_merge(len(maps), align, same_frame, transform)
     check_map_output(output)
     check_outputs({"--output": output}, tuple(maps))
-    merged = load_map(maps[0])
+    merged = open_map(maps[0])
     pose = _planar_or_upright(transform, merged.lattice.dim)
     if len(maps) == 1:
         save_map(output, merged.transform(pose))
@@ -158,7 +168,7 @@ def merge(
         return
     found: list[str] = []
     for path in maps[1:]:
-        other = load_map(path)
+        other = open_map(path)
         twice = common_logs(merged.sources(), other.sources())
         if twice and not again:
             raise ArgumentError(
@@ -183,6 +193,29 @@ def merge(
             raise type(error)(f"{path}: cannot be merged with {maps[0]}: {error}{ways}") from error
     save_map(output, merged)
     wrote(output, f"{len(maps)} maps merged, {len(merged.levels[0].hits)} cells hit{''.join(found)}")
+
+
+def _merge_tiles(
+    maps: list[Path], output: Path, tiles: float, moved: bool, same_frame: bool, again: bool
+) -> None:
+    """Merge maps that may be larger than memory into a folder of tiles."""
+    from hexmap.base.errors import FileAccessError
+    from hexmap.io.tile_merge import merge_maps
+
+    if moved:
+        raise typer.BadParameter("--tiles merges maps as they lie; --align and --transform write one file")
+    if output.suffix.lower() == ".parquet":
+        raise FileAccessError(f"{output}: cannot be written: with --tiles the map is a folder, and this names a file")
+    fraction = [0.0]
+    with progress_line("merging", lambda: fraction[0], "rows") as update:
+
+        def progress(rows: int, total: int) -> None:
+            fraction[0] = rows / max(1, total)
+            update(rows)
+
+        merged = merge_maps(maps, output, tiles, same_frame=same_frame, again=again, progress=progress)
+    count = "1 map cut" if len(maps) == 1 else f"{len(maps)} maps merged"
+    wrote(output, f"{count} into {len(merged.tiles):,} tiles, {merged.totals()[0]['hit_cells']:,} cells hit")
 
 
 def _check_merge(count: int, align: bool, same_frame: bool, transform: tuple[float, float, float] | None) -> None:

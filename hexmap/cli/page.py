@@ -72,16 +72,15 @@ def _read(
     map: Path, cell: float | None, min_hits: int | None, min_ratio: float | None, crop: str | None
 ) -> tuple[Map | GridMap, StateRule]:
     """Return the map, and what its cells are."""
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_own_map
     from hexmap.io.grids.open_grid import open_grid
-    from hexmap.io.map_file import load_map
     from hexmap.maps.state_rule import StateRule
 
-    if not is_parquet(map):
+    if not is_own_map(map):
         of_own = {"--min-hits": min_hits, "--min-ratio": min_ratio, "--crop": crop}
         given = {name: value is not None for name, value in of_own.items()}
         check_applies(map, "only maps of hexmap have hits and can be cropped", given)
         return open_grid(map, cell=cell), StateRule()
     check_applies(map, "a map of hexmap has its lattice and cells", {"--cell": cell is not None})
-    loaded = cropped(load_map(map), crop, map)
+    loaded = cropped(map, crop)
     return loaded, rule_of(min_hits, min_ratio, loaded.sources())

@@ -93,7 +93,7 @@ def show(
 ) -> None:
     """Draw a map with its true cells: flat, or in space as shaded polyhedra or a slice of them."""
     from hexmap.base.errors import FileAccessError
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_own_map
     from hexmap.io.grids.open_grid import is_grid
 
     if output is None and not viewer:
@@ -108,6 +108,8 @@ def show(
         raise FileAccessError(f"{source}: no such file")
     poses = _line(lines[0]) if lines else None
     size = clouds.cell_size(resolution, volume, None, 3)
+    own = is_own_map(source)
+    foreign = not own and is_grid(source)
     of_points = {
         "--format": format is not None, "--units": units != "m", "--axes": axes != "xyz",
         "--columns": columns is not None, "--offset": offset != "auto", "--min-range": min_range != 0.0,
@@ -115,7 +117,6 @@ def show(
         "--sample": sample is not None, "--seed": seed != 0,
     }  # fmt: skip
     of_maps = {"--level": level != 0, "--min-hits": min_hits is not None, "--min-ratio": min_ratio is not None}
-    own, foreign = is_parquet(source), is_grid(source)
     if own or foreign:
         check_applies(source, "these say how points are read, and this is a map", of_points)
     if not own:
@@ -215,11 +216,10 @@ def _own_map(
 ) -> _Scene:
     """Return a level of a map of hexmap, or the part of it in a box."""
     from hexmap.base.errors import ArgumentError
-    from hexmap.io.map_file import load_map
 
     if about_points:
         raise ArgumentError(f"{map}: a map has its lattice; --lattice, --volume and --resolution are for points")
-    loaded = cropped(load_map(map), crop, map)
+    loaded = cropped(map, crop)
     states = loaded.state(rule_of(min_hits, min_ratio, loaded.sources()), level)
     return _Scene(states, f"level {level}, {states.occupied.lattice.resolution:g} m")
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hexmap.maps.map import Map
     from hexmap.maps.state_rule import StateRule
 
-MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet).")]
+MapFile = Annotated[Path, typer.Argument(help="A map that hexmap wrote (.parquet, or a folder of tiles).")]
 LevelOption = Annotated[int, typer.Option(help="Level of the map, 0 is the finest.")]
 MinHits = Annotated[int | None, typer.Option(help="Hits that make a cell occupied.", show_default="as mapped")]
 MinRatio = Annotated[
@@ -31,12 +31,15 @@ def info(
     config: Annotated[bool, typer.Option("--config", help="Print only its settings, as JSON.")] = False,
 ) -> None:
     """Say what a map, a log, a trajectory (.tum) or a path holds and where it came from."""
-    from hexmap.io.file_kinds import is_parquet
+    from hexmap.io.file_kinds import is_map_folder, is_own_map
     from hexmap.io.grids.open_grid import is_grid
     from hexmap.io.lidar.open_lidar import is_lidar_log
     from hexmap.io.logs.open_log import is_log
 
-    if not config and not is_parquet(source):
+    if is_map_folder(source) and not config:
+        _folder_info(source)
+        return
+    if not config and not is_own_map(source):
         if is_grid(source):
             _grid_info(source)
             return
@@ -81,8 +84,9 @@ def _map_info(map: Path, config: bool) -> None:
 
     from hexmap.base.errors import ArgumentError
     from hexmap.io.map_file import load_map
+    from hexmap.io.map_folder import MapFolder
 
-    loaded = load_map(map)
+    loaded: Any = MapFolder.open(map) if map.is_dir() else load_map(map)
     sources = loaded.sources()
     if config:
         settings = [s["settings"] for s in sources if isinstance(s.get("settings"), dict)]
@@ -102,6 +106,35 @@ def _map_info(map: Path, config: bool) -> None:
     corners = loaded.bounds()
     if corners is not None:
         say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
+    _say_sources(sources)
+
+
+def _folder_info(path: Path) -> None:
+    """Say what a map of tiles holds, by its manifest."""
+    from hexmap.io.map_folder import MapFolder
+
+    folder = MapFolder.open(path)
+    lattice = folder.lattice
+    wide = " x ".join(str(c) for c in folder.cells)
+    say(f"{path}: a map on the {lattice.title} lattice ({lattice.name}), frame {folder.header['frame']!r}")
+    say(
+        f"{len(folder.tiles):,} tiles of {wide} cells, {folder.rows:,} rows, "
+        f"{sum(tile.size for tile in folder.tiles) / 1e6:,.1f} MB"
+    )
+    say("level  resolution    hit cells       hits  passed cells")
+    for k, total in enumerate(folder.totals()):
+        say(
+            f"{k:5d}  {lattice.resolution * 2**k:8.4g} m {total['hit_cells']:12,d} {total['hits']:10,d} "
+            f"{total['passed_cells']:13,d}"
+        )
+    corners = folder.bounds()
+    if corners is not None:
+        say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
+    _say_sources(folder.sources())
+
+
+def _say_sources(sources: list[dict[str, Any]]) -> None:
+    """Say where a map came from."""
     for source in sources:
         say(f"from {source.get('log', 'unknown')} ({source.get('format', 'unknown')}), poses: {source.get('poses')}")
     _say_once("versions", [source.get("versions") for source in sources], sources, _versions_in_words)
@@ -256,31 +289,33 @@ def export(
 ) -> None:
     """Write a map in a format that other programs read."""
     from hexmap.io.exports import export as export_map
-    from hexmap.io.map_file import load_map
 
     image = output.with_suffix(".pgm") if output.suffix.lower() in (".yaml", ".yml") else None
     check_outputs({"--output": output, "the image of --output": image}, (map,))
-    loaded = cropped(load_map(map), crop, map)
+    loaded = cropped(map, crop)
     rule = rule_of(min_hits, min_ratio, loaded.sources())
     for path in export_map(loaded, output, level=level, rule=rule, heights=height, report=say):
         wrote(path, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
 
 
-def cropped(map: Map, crop: str | None, path: Path) -> Map:
-    """Return the part of a map in the box that ``--crop`` names, all of it where it names none.
+def cropped(path: Path, crop: str | None) -> Map:
+    """Return the part of a map of hexmap in the box that ``--crop`` names, all of it where it names none.
+
+    Of a map of tiles only those are read that the box meets.
 
     Raises:
         ArgumentError: it is no box of the map's dimension, or no cell lies in it.
     """
     from hexmap.base.errors import ArgumentError
+    from hexmap.io.open_map import map_metadata, open_map
 
     low, high = clouds.corners(crop)
     if low is None or high is None:
-        return map
-    if len(low) != map.lattice.dim:
-        n = map.lattice.dim
+        return open_map(path)
+    n = len(map_metadata(path)["lattice"]["basis"])
+    if len(low) != n:
         raise ArgumentError(f"--crop takes {2 * n} numbers: {path} is a map of dimension {n}")
-    part = map.crop(low, high)
+    part = open_map(path, low, high)
     if part.bounds() is None:
         raise ArgumentError(f"{path}: no cell of the map lies in the box {crop}")
     return part

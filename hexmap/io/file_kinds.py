@@ -7,7 +7,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["BOM", "FOREIGN", "FileKind", "control_byte", "find_kind", "is_parquet"]
+__all__ = [
+    "BOM",
+    "FOREIGN",
+    "MANIFEST",
+    "MANIFEST_MARK",
+    "FileKind",
+    "control_byte",
+    "find_kind",
+    "is_map_folder",
+    "is_own_map",
+    "is_parquet",
+]
+
+MANIFEST = "_manifest.json"  # of a map of ours that is a folder of tiles
+MANIFEST_MARK = b'{"hexmap": "map of tiles"'
 
 BOM = b"\xef\xbb\xbf"  # the byte-order mark of UTF-8, which editors of Windows put before a text
 
@@ -118,3 +132,17 @@ def is_parquet(path: Path) -> bool:
             return PARQUET.begins(handle.read(4))
     except (OSError, ValueError):  # a ValueError: a path with a null character
         return False
+
+
+def is_map_folder(path: Path) -> bool:
+    """Tell whether a path is a folder with the manifest of a map of ours."""
+    try:
+        with (path / MANIFEST).open("rb") as handle:
+            return handle.read(len(MANIFEST_MARK)) == MANIFEST_MARK
+    except (OSError, ValueError):
+        return False
+
+
+def is_own_map(path: Path) -> bool:
+    """Tell whether a path is a map of ours, or is meant to be one: a Parquet file, or a folder of tiles."""
+    return is_parquet(path) or is_map_folder(path)

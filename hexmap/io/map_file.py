@@ -34,7 +34,22 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["FORMAT_VERSION", "load_map", "read_metadata", "save_map"]
+__all__ = [
+    "FORMAT_VERSION",
+    "MapWriter",
+    "check_columns",
+    "describe",
+    "encode",
+    "header_of",
+    "lattice_of",
+    "levels_of",
+    "load_map",
+    "open_regular",
+    "parquet_of",
+    "read_metadata",
+    "save_map",
+    "texts_of",
+]
 
 FORMAT_VERSION = 1
 _KEY = b"hexmap"
@@ -66,28 +81,56 @@ def save_map(path: str | os.PathLike[str], map: Map) -> None:
         ...     load_map(Path(folder) / "one.parquet").levels[0].hits.rows().tolist()
         [[0, 3, 1]]
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    with atomic_write(path) as handle, MapWriter(handle, describe(map), map.lattice.dim) as writer:
+        for columns in _row_groups(map):
+            writer.write_columns(columns)
 
-    axes = _AXES[: map.lattice.dim]
-    types = {"level": np.int32, **dict.fromkeys(axes, np.int32), "hits": np.int64, "passes": np.int64}
-    fields = [pa.field(name, pa.from_numpy_dtype(dtype), nullable=False) for name, dtype in types.items()]
-    header = _describe(map)
-    schema = pa.schema(fields, metadata={_KEY: _encode({**header, "crc32": zlib.crc32(_encode(header))})})
-    with (
-        atomic_write(path) as handle,
-        # Sorted indices differ by small steps, which delta coding stores in a few bits; counts repeat.
-        pq.ParquetWriter(
+
+class MapWriter:
+    """Writes a map file row group by row group; that the rows are sorted, each cell once, is the caller's care.
+
+    Args:
+        handle: the file to write to.
+        header: what :func:`describe` returns.
+        dim: of the lattice.
+    """
+
+    def __init__(self, handle: Any, header: dict[str, Any], dim: int) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        axes = _AXES[:dim]
+        types = {"level": np.int32, **dict.fromkeys(axes, np.int32), "hits": np.int64, "passes": np.int64}
+        fields = [pa.field(name, pa.from_numpy_dtype(dtype), nullable=False) for name, dtype in types.items()]
+        metadata = {_KEY: encode({**header, "crc32": zlib.crc32(encode(header))})}
+        self._schema = pa.schema(fields, metadata=metadata)
+        self._writer = pq.ParquetWriter(
             handle,
-            schema,
+            self._schema,
             compression="zstd",
+            # Sorted indices differ by small steps, which delta coding stores in a few bits; counts repeat.
             use_dictionary=["level", "hits", "passes"],
             column_encoding=dict.fromkeys(axes, "DELTA_BINARY_PACKED"),
             write_page_checksum=True,
-        ) as writer,
-    ):
-        for columns in _row_groups(map):
-            writer.write_table(pa.table(columns, schema=schema))
+        )
+
+    def write_columns(self, columns: list[NDArray[Any]]) -> None:
+        """Write a row group: level, indices, hits and passes, each (M,)."""
+        import pyarrow as pa
+
+        self._writer.write_table(pa.table(columns, schema=self._schema))
+
+    def close(self) -> None:
+        """End the file."""
+        self._writer.close()
+
+    def __enter__(self) -> MapWriter:
+        """Write rows in a block."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the file."""
+        self.close()
 
 
 def _row_groups(map: Map) -> Iterator[list[NDArray[Any]]]:
@@ -142,25 +185,14 @@ def load_map(path: str | os.PathLike[str]) -> Map:
         FormatError: not Parquet, cut off, damaged, not a hexmap map, of a newer version, or with rows
             that are not those of a map; the text names the file and what is wrong.
     """
-    import pyarrow as pa
-
     path = Path(path)
-    with _open(path) as handle:
-        file = _parquet(path, handle)
-        header = _header(path, file.schema_arrow.metadata)
-        lattice = _lattice(path, header)
-        schema = file.schema_arrow
-        names = ("level", *_AXES[: lattice.dim], "hits", "passes")
-        for name in names:
-            count = schema.names.count(name)
-            if count != 1:
-                raise FormatError(f"{path}: damaged map: it has {count or 'no'} columns {name!r}, and needs one")
-            if not pa.types.is_integer(schema.field(name).type):
-                raise FormatError(
-                    f"{path}: damaged map: column {name!r} holds {schema.field(name).type}, and should hold integers"
-                )
+    with open_regular(path) as handle:
+        file = parquet_of(path, handle)
+        header = header_of(path, file.schema_arrow.metadata)
+        lattice = lattice_of(path, header)
+        names = check_columns(path, file, lattice.dim)
         columns = _read(path, file, names)
-    levels = _levels(path, header)
+    levels = levels_of(path, header)
     return _build(path, header, lattice, levels, columns)
 
 
@@ -176,18 +208,18 @@ def read_metadata(path: str | os.PathLike[str]) -> dict[str, Any]:
         FormatError: not a map file, or one of a newer version.
     """
     path = Path(path)
-    with _open(path) as handle:
-        header = _header(path, _parquet(path, handle).schema_arrow.metadata)
-    _lattice(path, header)
-    _levels(path, header)
+    with open_regular(path) as handle:
+        header = header_of(path, parquet_of(path, handle).schema_arrow.metadata)
+    lattice_of(path, header)
+    levels_of(path, header)
     return header
 
 
 # ---------------------------------------------------------------------- metadata
 
 
-def _describe(map: Map) -> dict[str, Any]:
-    """Return the metadata of a map; nothing in it depends on when or where it is written."""
+def describe(map: Map) -> dict[str, Any]:
+    """Return the metadata of a map's file; nothing in it depends on when or where it is written."""
     return {
         "format": FORMAT_VERSION,
         "kind": "map",
@@ -200,7 +232,8 @@ def _describe(map: Map) -> dict[str, Any]:
     }
 
 
-def _encode(header: dict[str, Any]) -> bytes:
+def encode(header: dict[str, Any]) -> bytes:
+    """Return metadata as JSON: one text for one content."""
     return json.dumps(header, sort_keys=True, allow_nan=False).encode("ascii")
 
 
@@ -232,7 +265,7 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _header(path: Path, metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
+def header_of(path: Path, metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
     """Decode the metadata and check everything in it but the lattice and the levels."""
     text = (metadata or {}).get(_KEY)
     if text is None:
@@ -267,12 +300,12 @@ def _header(path: Path, metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
 
 def _recode(path: Path, header: dict[str, Any]) -> bytes:
     try:
-        return _encode(header)
+        return encode(header)
     except ValueError as error:
         raise FormatError(f"{path}: damaged map: its metadata holds a number that is not finite") from error
 
 
-def _lattice(path: Path, header: dict[str, Any]) -> Lattice:
+def lattice_of(path: Path, header: dict[str, Any]) -> Lattice:
     """Return the lattice of the finest level."""
     try:
         lattice = Lattice.from_dict(header.get("lattice", {}))
@@ -291,7 +324,8 @@ def _lattice(path: Path, header: dict[str, Any]) -> Lattice:
     return lattice
 
 
-def _levels(path: Path, header: dict[str, Any]) -> int:
+def levels_of(path: Path, header: dict[str, Any]) -> int:
+    """Return how many levels the map has."""
     levels = header.get("levels")
     if not isinstance(levels, int) or isinstance(levels, bool) or not 1 <= levels <= _MAX_LEVELS:
         raise FormatError(f"{path}: damaged map: it has {quoted(levels)} levels, not 1 to {_MAX_LEVELS}")
@@ -301,7 +335,33 @@ def _levels(path: Path, header: dict[str, Any]) -> int:
 # ---------------------------------------------------------------------- rows
 
 
-def _open(path: Path) -> IO[bytes]:
+def check_columns(path: Path, file: Any, dim: int) -> tuple[str, ...]:
+    """Return the names of a map's columns, each of which an opened file has once, and of integers.
+
+    Raises:
+        FormatError: it does not.
+    """
+    import pyarrow as pa
+
+    schema = file.schema_arrow
+    names = ("level", *_AXES[:dim], "hits", "passes")
+    for name in names:
+        count = schema.names.count(name)
+        if count != 1:
+            raise FormatError(f"{path}: damaged map: it has {count or 'no'} columns {name!r}, and needs one")
+        if not pa.types.is_integer(schema.field(name).type):
+            raise FormatError(
+                f"{path}: damaged map: column {name!r} holds {schema.field(name).type}, and should hold integers"
+            )
+    return names
+
+
+def open_regular(path: Path) -> IO[bytes]:
+    """Open a file that is no device.
+
+    Raises:
+        FileAccessError: it cannot be opened.
+    """
     try:
         check_regular(path, os.stat(path).st_mode)
         return open(path, "rb")
@@ -311,7 +371,7 @@ def _open(path: Path) -> IO[bytes]:
         raise cannot_read(path, error) from error
 
 
-def _parquet(path: Path, handle: IO[bytes]) -> Any:
+def parquet_of(path: Path, handle: IO[bytes]) -> Any:
     """Return the opened pyarrow ParquetFile."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -396,8 +456,12 @@ def _build(path: Path, header: dict[str, Any], lattice: Lattice, count: int, col
             some = counts > 0
             lists.append(VoxelList(at, keys[rows][some], counts[some]))
         parts.append(Level(*lists))
-    texts = [e if isinstance(e, str) else json.dumps(e, sort_keys=True) for e in header["provenance"]]
-    return Map(parts, header["frame"], texts)
+    return Map(parts, header["frame"], texts_of(header))
+
+
+def texts_of(header: dict[str, Any]) -> list[str]:
+    """Return the provenance that metadata holds as the texts that a map has."""
+    return [e if isinstance(e, str) else json.dumps(e, sort_keys=True) for e in header["provenance"]]
 
 
 def _after_first(bad: NDArray[np.bool_]) -> NDArray[np.bool_]:

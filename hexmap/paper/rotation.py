@@ -10,6 +10,7 @@ transforms. The report ends with verdicts on the paper's claims.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -41,6 +42,7 @@ def rotation_experiment(
     notes: Sequence[str] = (),
     folder: Path | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Run the experiment on ``points`` (N, 2) or (N, 3), metres, and return its report.
@@ -53,6 +55,7 @@ def rotation_experiment(
         notes: what was done to the points before, a sentence each.
         folder: where finished cases are kept; an interrupted run goes on from there.
         workers: processes; the numbers do not depend on it.
+        executor: computes the cases instead of ``workers``, see :func:`~hexmap.experiments.run_cases`.
         progress: called with the cases done and their number.
 
     Raises:
@@ -68,7 +71,7 @@ def rotation_experiment(
         lattice.quantise(points)  # a bad point is an error before the work begins
     run = partial(
         run_cases, shared={"points": points, "bases": [v.basis.tolist() for v in lattices]}, folder=folder,
-        workers=workers, seed=settings.seed,
+        workers=workers, executor=executor, seed=settings.seed,
     )  # fmt: skip
     results = RotationResults(points, lattices, settings, _samples(settings, run, progress))
     report = Report(f"Lattices under rotation: {source}", command, asdict(settings))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -93,6 +94,7 @@ def localisation_experiment(
     command: str = "",
     folder: Path | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> ExperimentOutcome:
     """Run the experiment on a log and return what was found.
@@ -107,6 +109,7 @@ def localisation_experiment(
         command: the command line, for the report.
         folder: where finished cases are kept; an interrupted run goes on from there.
         workers: processes; nothing but times depends on it.
+        executor: computes the cases instead of ``workers``, see :func:`~hexmap.experiments.run_cases`.
         progress: called with the cases done and their number.
 
     Raises:
@@ -136,8 +139,8 @@ def localisation_experiment(
         "sure": SURE,
     }
     found = run_cases(
-        experiment_case, cases, shared=shared, folder=folder, workers=workers, seed=settings.seed, progress=progress,
-        fingerprint=code,
+        experiment_case, cases, shared=shared, folder=folder, workers=workers, executor=executor, seed=settings.seed,
+        progress=progress, fingerprint=code,
     )  # fmt: skip
     rows = []
     for case, result in zip(cases, found, strict=True):

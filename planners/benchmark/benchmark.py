@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ def planning_benchmark(
     command: str = "",
     folder: Path | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Outcome:
     """Run the benchmark on maps and return its report, and whether the baseline check passed.
@@ -30,6 +32,7 @@ def planning_benchmark(
         command: the command line, for the report.
         folder: where finished cases are kept; an interrupted run goes on from there.
         workers: processes; the numbers do not depend on it, times aside.
+        executor: computes the cases instead of ``workers``, see :func:`~hexmap.experiments.run_cases`.
         progress: called with the cases done and their number.
 
     Raises:
@@ -39,4 +42,5 @@ def planning_benchmark(
     from planners.benchmark.report import make_report
 
     settings = settings or BenchmarkSettings()
-    return make_report(run_benchmark(maps, settings, folder=folder, workers=workers, progress=progress), command)
+    results = run_benchmark(maps, settings, folder=folder, workers=workers, executor=executor, progress=progress)
+    return make_report(results, command)

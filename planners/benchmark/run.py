@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -46,6 +47,7 @@ def run_benchmark(
     *,
     folder: Path | None = None,
     workers: int = 1,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Results:
     """Compute all cases; arguments and errors are those of :func:`planning_benchmark`."""
@@ -71,8 +73,8 @@ def run_benchmark(
         before = done
         report = None if progress is None else lambda now, _: progress(before + now, total)
         found = run_cases(
-            function, cases, shared=shared, folder=folder, workers=workers, seed=settings.seed, progress=report,
-            fingerprint=fingerprint,
+            function, cases, shared=shared, folder=folder, workers=workers, executor=executor, seed=settings.seed,
+            progress=report, fingerprint=fingerprint,
         )  # fmt: skip
         done += len(cases)
         return found

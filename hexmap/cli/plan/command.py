@@ -135,8 +135,7 @@ def plan(
     The path begins in --from and ends in --to; between them it turns at centres of cells. No piece of it runs through
     an occupied cell of the source: a cell of the lattice that reaches into one is blocked.
     """
-    from hexmap.io.file_kinds import is_parquet
-    from hexmap.io.map_file import load_map
+    from hexmap.io.file_kinds import is_own_map
 
     map = found(map)
     query = Query(
@@ -158,7 +157,7 @@ def plan(
 
         check_picture(picture)
     on = own_lattice(lattice, basis, resolution) or lattice
-    own = is_parquet(map)
+    own = is_own_map(map)
     _check_kind(
         map,
         own,
@@ -169,7 +168,7 @@ def plan(
     begin = time.perf_counter()
     with compiled_aside(query):
         if own:
-            loaded = cropped(load_map(map), crop, map)
+            loaded = cropped(map, crop)
             rule = rule_of(min_hits, min_ratio, loaded.sources())
             planning_map = own_map(map, loaded, query, level or 0, rule, on, resolution)
         else:
