@@ -16,6 +16,7 @@ from hexmap.experiments.statistics import Interval, bootstrap_ratio
 from hexmap.experiments.statistics import mean as mean_of
 from planners.benchmark.report_words import compared_sizes, share_word
 from planners.benchmark.result_group import ResultGroup
+from planners.benchmark.settings import LEAST_QUERIES
 
 __all__ = ["Comparison", "compare_grids", "length_verdicts", "report_comparison"]
 
@@ -92,9 +93,9 @@ def _is_box(x: ResultGroup) -> bool:
 
 
 def _ratio(a: ResultGroup, b: ResultGroup, measure: _Measure, seed: int) -> Interval | None:
-    """Return how many times ``b``'s value ``a``'s is on the same queries; None where there is no telling."""
+    """Return how many times ``b``'s value ``a``'s is on the same queries; None for too few or for zeros."""
     u, v = a.values[measure.key], b.values[measure.key]
-    if len(u) != len(v) or len(u) < 2 or not v.mean() > 0 or not u.mean() > 0:
+    if len(u) != len(v) or len(u) < LEAST_QUERIES or not v.mean() > 0 or not u.mean() > 0:
         return None
     return bootstrap_ratio(u, v, measure.statistic, rng=np.random.default_rng([seed, 3]))
 
