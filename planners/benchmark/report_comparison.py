@@ -107,12 +107,15 @@ def length_verdicts(comparisons: Sequence[Comparison]) -> list[Verdict]:
     for dim, grid, against in dict.fromkeys((c.dim, c.grid, c.against) for c in lengths):
         about = [c for c in lengths if (c.dim, c.grid, c.against) == (dim, grid, against)]
         won = sum(c.standing == "win" for c in about)
-        outcome: Outcome = "holds" if won == len(about) else "holds in part" if won else "does not hold"
+        lost = sum(c.standing == "lose" for c in about)
+        outcome: Outcome = "does not hold" if lost else "undecided"
+        if won:
+            outcome = "holds" if won == len(about) else "holds in part"
         out.append(
             Verdict(
                 f"{grid} plans shorter paths than {against}", f"{dim}D", outcome,
                 "mean length over the other's on the same queries: holds where the interval lies below 1 at every cell "
-                "size, in part where it does at some",
+                "size, in part where it does at some, undecided where it holds 1 at all",
                 "; ".join(f"{format_interval(c.ratio)} times at {share_word(c.fraction)}" for c in about),
             )
         )  # fmt: skip
