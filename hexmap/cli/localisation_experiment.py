@@ -65,7 +65,9 @@ def localisation(
     points: Annotated[
         int | None, typer.Option(help="Of a LiDAR's scan, at most so many points at random.", show_default="20000")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer of everything, for a first look.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer of everything, for a first look: about a minute; of a LiDAR longer.")
+    ] = False,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
     seed: clouds.Seed = 0,
 ) -> None:
@@ -103,7 +105,7 @@ def localisation(
         with _removed_if_empty(output):
             outcome = localisation_experiment(
                 source, settings, poses=reference, test=other, test_poses=other_reference, associate=associate,
-                command=_command(), folder=make_folder(output), workers=workers, progress=progress,
+                command=command(), folder=make_folder(output), workers=workers, progress=progress,
             )  # fmt: skip
     for text in [*source.warnings, *(other.warnings if other is not None else [])]:
         warn(text)
@@ -127,11 +129,8 @@ def _removed_if_empty(folder: Path) -> Iterator[None]:
         raise
 
 
-def _command() -> str:
-    """Return the command line without what no number depends on: so the report is the same for any workers and folder.
-
-    The folder stays, by the name of one.
-    """
+def command() -> str:
+    """Return the command line as it was typed, without the workers, on which no number depends."""
     words = shlex.split(command_line())
     out: list[str] = []
     skip = False
@@ -139,9 +138,8 @@ def _command() -> str:
         name, _, value = word.partition("=")
         if skip:
             skip = False
-        elif name in ("--workers", "--output", "-o"):
+        elif name == "--workers":
             skip = not value
-            out += [] if name == "--workers" else ["-o", "report"]
         else:
             out.append(word)
     return shlex.join(out)
@@ -174,7 +172,8 @@ def _settings(in_space: bool, quick: bool, own: list[Any], **values: Any) -> Exp
     settings = replace(settings, **values)
     if not quick:
         return settings
-    return replace(quicker(settings), **{name: values[name] for name in ("scans", "starts") if name in values})
+    kept = ("scans", "starts", "resolutions")
+    return replace(quicker(settings), **{name: values[name] for name in kept if name in values})
 
 
 def _own(text: str) -> tuple[tuple[float, ...], ...]:
