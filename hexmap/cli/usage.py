@@ -11,7 +11,7 @@ __all__ = ["Command"]
 
 
 class Command(TyperCommand):
-    """A command whose usage names arguments in capitals, without the braces and second dots of some versions of typer."""
+    """A command whose usage names arguments in capitals, without braces and second dots as some versions do."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the words after the command's name: options, then arguments."""
