@@ -38,6 +38,7 @@ _SAMPLES = 2  # to each side of a pixel
 _MOST_PIXELS = 2000  # of the longer side of an image
 _INLINE_INCHES, _INLINE_DPI = (4.2, 3.2), 180
 _INLINE_SCALE = 2  # pixels of the image to one of the page: sharp on fine screens
+_INLINE_BYTES = 150_000  # of an image; a larger one, which is all noise, is made with half the pixels
 _INLINE_CELLS = 300_000  # of a level in a notebook; a coarser one looks the same at that size
 _STRAYS, _ROOM = 0.005, 0.1  # of the cells on each side, and of the width of the others around these
 _INLINE_POINTS = 20_000  # of a line; more are no finer at that size
@@ -207,12 +208,18 @@ def inline_picture(value: Any) -> str:
             value.select(np.asarray(inside.all(axis=1))).plot(ax)
         else:
             value.plot(ax)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", bbox_inches="tight", metadata={"Software": None})
-    data = buffer.getvalue()
-    width = int.from_bytes(data[16:20], "big") // _INLINE_SCALE  # of the header of a PNG
+        scale, data = _INLINE_SCALE, _png(figure, _INLINE_DPI)
+        if len(data) > _INLINE_BYTES:
+            scale, data = 1, _png(figure, _INLINE_DPI // _INLINE_SCALE)
+    width = int.from_bytes(data[16:20], "big") // scale  # of the header of a PNG
     text = base64.b64encode(data).decode("ascii")
     return f'<img alt="{type(value).__name__}" width="{width}" src="data:image/png;base64,{text}">'
+
+
+def _png(figure: Any, dpi: int) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight", metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _without_strays(cells: VoxelList) -> Box | None:
