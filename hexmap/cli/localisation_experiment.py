@@ -66,7 +66,7 @@ def localisation(
         int | None, typer.Option(help="Of a LiDAR's scan, at most so many points at random.", show_default="20000")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer of everything, for a first look: about a minute; of a LiDAR longer.")
+        bool, typer.Option("--quick", help="Fewer of everything, no mapping: a minute; of a LiDAR longer.")
     ] = False,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
     seed: clouds.Seed = 0,
@@ -172,7 +172,7 @@ def _settings(in_space: bool, quick: bool, own: list[Any], **values: Any) -> Exp
     settings = replace(settings, **values)
     if not quick:
         return settings
-    kept = ("scans", "starts", "resolutions")
+    kept = ("scans", "starts", "resolutions", "tasks")
     return replace(quicker(settings), **{name: values[name] for name in kept if name in values})
 
 
