@@ -120,6 +120,7 @@ class PoseErrors:
         translation: (M,) float64 metres to the reference.
         rotation_deg: (M,) float64 degrees to the reference.
         skipped: poses of the sparser trajectory without a partner.
+        covered: share of the reference's time from its first pose with a partner to its last.
         T_reference_estimate: the alignment; of the plane where both trajectories are planar.
     """
 
@@ -130,6 +131,7 @@ class PoseErrors:
     translation: FloatArray
     rotation_deg: FloatArray
     skipped: int
+    covered: float
     T_reference_estimate: Pose
 
     __repr__ = one_line
@@ -327,8 +329,14 @@ def pose_errors(
         i, j, estimate.stamps[j], aligned,
         np.linalg.norm(reference.positions[i] - aligned, axis=1),
         _angles_deg(np.swapaxes(reference.rotations()[i], 1, 2) @ (R @ estimate.rotations()[j])),
-        skipped, T,
+        skipped, _share_of_time(reference.stamps, i), T,
     )  # fmt: skip
+
+
+def _share_of_time(stamps: FloatArray, chosen: IntArray) -> float:
+    """Return what share of the time of ``stamps`` lies between the first and the last of those chosen."""
+    whole = float(np.ptp(stamps))
+    return float(np.ptp(stamps[chosen])) / whole if whole > 0.0 else 1.0
 
 
 def relative_error(

@@ -14,6 +14,7 @@ from hexmap.cli.experiments import check_folder, command_line, say_if_resumed, w
 from hexmap.cli.fleet import Cluster
 from hexmap.cli.lattice_options import Bases, parse_basis
 from hexmap.cli.plan.map_source import found
+from hexmap.cli.usage import Command
 
 Number = TypeVar("Number", int, float)
 
@@ -28,7 +29,7 @@ def _group() -> None:
     """Keep ``planning`` a command of its own."""
 
 
-@app.command()
+@app.command(cls=Command, short_help="Compare grids and planners on published maps.")
 def planning(
     maps: Annotated[
         list[Path],

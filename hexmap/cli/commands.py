@@ -26,6 +26,7 @@ from hexmap.cli import (
 )
 from hexmap.cli.plan import command as planning
 from hexmap.cli.plan.query import PlanCommand
+from hexmap.cli.usage import Command
 
 __all__ = ["app", "run"]
 
@@ -43,20 +44,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(mapping.demo)
-app.command()(mapping.simulate)
-app.command()(build.build)
-app.command()(localise.localise)
-app.command()(mapping.merge)
-app.command()(trajectories.evaluate)
-app.command()(trajectories.convert)
-app.command()(viewing.info)
-app.command()(viewing.lattices)
-app.command()(showing.show)
-app.command()(page.page)
-app.command()(viewing.export)
-app.command(cls=PlanCommand)(planning.plan)
-experiments.app.command()(localisation_experiment.localisation)
+app.command(cls=Command, short_help="Simulate an office, map it and plan through it.")(mapping.demo)
+app.command(cls=Command, short_help="Simulate a drive through a building.")(mapping.simulate)
+app.command(cls=Command, short_help="Build a map from logs of a laser or a LiDAR.")(build.build)
+app.command(cls=Command, short_help="Find a robot in a map and follow it along a log.")(localise.localise)
+app.command(cls=Command, short_help="Merge maps of one place, cell by cell.")(mapping.merge)
+app.command(cls=Command, short_help="Score trajectories against a reference or relations.")(trajectories.evaluate)
+app.command(cls=Command, short_help="Write a trajectory in another format.")(trajectories.convert)
+app.command(cls=Command, short_help="Say what a map or a log holds and where it is from.")(viewing.info)
+app.command(cls=Command, short_help="Print what each lattice is worth: Table I.")(viewing.lattices)
+app.command(cls=Command, short_help="Draw a map, or points, with their true cells.")(showing.show)
+app.command(cls=Command, short_help="Make a page of a map, to look and plan in.")(page.page)
+app.command(cls=Command, short_help="Write a map in a format that other programs read.")(viewing.export)
+app.command(cls=PlanCommand, short_help="Plan a path between two positions in a map.")(planning.plan)
+experiments.app.command(cls=Command, short_help="Compare lattices at localising on your own log.")(
+    localisation_experiment.localisation
+)
 app.add_typer(experiments.app, name="experiment")
 app.add_typer(benchmark.app, name="benchmark")
 

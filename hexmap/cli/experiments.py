@@ -13,6 +13,7 @@ from hexmap.cli import clouds
 from hexmap.cli.console import first_run_note, progress_line, say, warn
 from hexmap.cli.fleet import Cluster
 from hexmap.cli.lattice_options import Bases, parse_basis
+from hexmap.cli.usage import Command
 
 app = typer.Typer(
     help="The paper's evaluation, on your own scans.", no_args_is_help=True, rich_markup_mode=None, add_completion=False
@@ -21,7 +22,7 @@ app = typer.Typer(
 Folder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")]
 
 
-@app.command()
+@app.command(cls=Command, short_help="Count the cells of a scan as it turns: Table II.")
 def rotation(
     points: Annotated[
         Path, typer.Argument(help="PCD, PLY, text, KITTI .bin, NPY; a log with --poses; a LiDAR's log; a map.")
@@ -99,7 +100,7 @@ def rotation(
     write_report(report, output)
 
 
-@app.command()
+@app.command(cls=Command, short_help="Compare lattices as quantisers of uniform data.")
 def quantiser(
     output: Folder,
     count: Annotated[int, typer.Option(help="Points a lattice and measurement.")] = 1_000_000,

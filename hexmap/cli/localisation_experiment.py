@@ -66,7 +66,9 @@ def localisation(
     points: Annotated[
         int | None, typer.Option(help="Of a LiDAR's scan, at most so many points at random.", show_default="20000")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer of everything, for a first look.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer of everything, no mapping: a minute; of a LiDAR longer.")
+    ] = False,
     workers: Annotated[int, typer.Option(help="Processes; the numbers do not depend on it, times aside.")] = 1,
     cluster: Cluster = None,
     seed: clouds.Seed = 0,
@@ -109,7 +111,7 @@ def localisation(
         with _removed_if_empty(output):
             outcome = localisation_experiment(
                 source, settings, poses=reference, test=other, test_poses=other_reference, associate=associate,
-                command=_command(), folder=make_folder(output), workers=workers, executor=executor,
+                command=command(), folder=make_folder(output), workers=workers, executor=executor,
                 progress=progress,
             )  # fmt: skip
     for text in [*source.warnings, *(other.warnings if other is not None else [])]:
@@ -134,11 +136,8 @@ def _removed_if_empty(folder: Path) -> Iterator[None]:
         raise
 
 
-def _command() -> str:
-    """Return the command line without what no number depends on: so the report is the same for any workers and folder.
-
-    The folder stays, by the name of one.
-    """
+def command() -> str:
+    """Return the command line as it was typed, without the workers, on which no number depends."""
     words = shlex.split(command_line())
     out: list[str] = []
     skip = False
@@ -146,9 +145,8 @@ def _command() -> str:
         name, _, value = word.partition("=")
         if skip:
             skip = False
-        elif name in ("--workers", "--cluster", "--output", "-o"):
+        elif name in ("--workers", "--cluster"):
             skip = not value
-            out += [] if name in ("--workers", "--cluster") else ["-o", "report"]
         else:
             out.append(word)
     return shlex.join(out)
@@ -181,7 +179,8 @@ def _settings(in_space: bool, quick: bool, own: list[Any], **values: Any) -> Exp
     settings = replace(settings, **values)
     if not quick:
         return settings
-    return replace(quicker(settings), **{name: values[name] for name in ("scans", "starts") if name in values})
+    kept = ("scans", "starts", "resolutions", "tasks")
+    return replace(quicker(settings), **{name: values[name] for name in kept if name in values})
 
 
 def _own(text: str) -> tuple[tuple[float, ...], ...]:

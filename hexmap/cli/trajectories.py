@@ -183,9 +183,11 @@ def _say_table(judged: list[_Judged], reference: Path | None, step: float) -> No
         if all(score is None for score in scores):
             continue
         say(title)
+        # Of how much of the reference the errors speak: a track that ends early may look the better one.
+        absolute = unit == "poses"
         say(
             f"  {'trajectory':<{width}} {unit:>9} {'left out':>8}   mean m    rmse  median     max   mean deg    rmse  "
-            "median     max"
+            f"median     max{'  time covered' if absolute else ''}"
         )
         for row, score in zip(judged, scores, strict=True):
             if score is None:
@@ -194,7 +196,8 @@ def _say_table(judged: list[_Judged], reference: Path | None, step: float) -> No
             t, r = score.translation, score.rotation_deg
             numbers = "".join(f"{v:8.4f}" for v in (t.mean, t.rmse, t.median, t.max))
             turns = "".join(f"{v:8.3f}" for v in (r.mean, r.rmse, r.median, r.max))
-            say(f"  {row.name:<{width}} {score.used:9d} {score.skipped:8d} {numbers}   {turns}")
+            covered = f"{row.errors.covered:14.1%}" if absolute and row.errors is not None else ""
+            say(f"  {row.name:<{width}} {score.used:9d} {score.skipped:8d} {numbers}   {turns}{covered}")
 
 
 # ---------------------------------------------------------------------- in files
@@ -250,6 +253,7 @@ def _as_json(row: _Judged) -> dict[str, Any]:
                 "rotation_deg": _statistics(score.rotation_deg),
             }  # fmt: skip
     if row.errors is not None:
+        out["time_covered"] = row.errors.covered
         out["T_reference_estimate"] = row.errors.T_reference_estimate.matrix().tolist()
         out["poses"] = [dict(zip(_POSE, pose, strict=True)) for pose in _pose_rows(row.errors)]
     return out
@@ -263,7 +267,7 @@ def _draw(picture: Path, judged: list[_Judged], truth: Trajectory, name: str) ->
     from hexmap.drawing.track_drawing import Track, draw_tracks
 
     tracks = [
-        Track(row.name, row.errors.stamps, row.errors.positions, row.errors.translation)
+        Track(row.name, row.errors.stamps, row.errors.positions, row.errors.translation, row.errors.reference)
         for row in judged
         if row.errors is not None
     ]

@@ -11,6 +11,7 @@ import typer
 
 from hexmap.cli import clouds
 from hexmap.cli.console import check_outputs, mount_words, say, warn, wrote
+from hexmap.cli.lattice_options import Bases, own_lattice
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -248,18 +249,21 @@ def _lidar_info(path: Path) -> None:
         warn(text)
 
 
-def lattices() -> None:
+def lattices(basis: Bases = None) -> None:
     """Print the paper's Table I and what each lattice is worth, computed from its cell."""
     from hexmap.lattice.lattice import NAMES, Lattice
 
+    own = [own_lattice(None, text, 1.0) for text in basis or ()]
     say(
         f"{'':6}{'lattice':<21}{'near':>5}{'faces':>6}{'symm.':>6}{'moment':>10}{'error':>9}"
         f"{'packing':>9}{'covering':>10}{'in':>8}{'out':>8}"
     )
-    for name in NAMES:
-        cells = Lattice.named(name)
+    rows = [(name, Lattice.named(name)) for name in NAMES]
+    rows += [(f"own {k}", cells) for k, cells in enumerate(own, 1) if cells is not None]
+    for name, cells in rows:
+        title = cells.title if name in NAMES else f"--basis, {cells.dim}D"
         say(
-            f"{name:<6}{cells.title:<21}{len(cells.nearest):5d}{len(cells.faces):6d}{len(cells.point_group):6d}"
+            f"{name:<6}{title:<21}{len(cells.nearest):5d}{len(cells.faces):6d}{len(cells.point_group):6d}"
             f"{cells.cell.second_moment:10.6f}{cells.cell.mean_error:9.4f}{cells.packing_density:9.4f}"
             f"{cells.covering_thickness:10.4f}{cells.inradius:8.4f}{cells.covering_radius:8.4f}"
         )

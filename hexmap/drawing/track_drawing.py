@@ -24,6 +24,8 @@ _STYLES = ("-", "--", "-.", ":")
 _REFERENCE, _TEXT, _FAINT, _GRID = "#9aa5b5", "#1f2a3d", "#6b778c", "#e3e8ef"
 _WIDTH = 8.0  # inches
 _MOST = len(_COLOURS) * len(_STYLES)
+# No line hides the one below it.
+_THIN: dict[str, Any] = {"linewidth": 0.9, "alpha": 0.8}
 _SAVING: dict[Any, Any] = {
     "svg.hashsalt": "hexmap", "pdf.fonttype": 42, "font.family": ["DejaVu Sans"], "font.size": 9.0,
 }  # fmt: skip
@@ -42,12 +44,14 @@ class Track:
         stamps: (M,) float64 seconds.
         positions: (M, 3) float64 metres, in the frame of the reference.
         errors: (M,) float64 metres to the reference.
+        reference: (M,) int64, number of the reference's pose that goes with each.
     """
 
     name: str
     stamps: NDArray[np.float64]
     positions: NDArray[np.float64]
     errors: NDArray[np.float64]
+    reference: NDArray[np.int64]
 
     __repr__ = one_line
 
@@ -57,7 +61,8 @@ def draw_tracks(
 ) -> Path:
     """Draw the tracks from above over that of the reference, and below them the error of each over time.
 
-    Where stamps are no times, because they repeat or step back, the errors stand over the number of the pose.
+    The errors stand over time; where stamps are no times, because they step back or most repeat, over the number of the
+    reference's pose.
 
     Args:
         path: ``.png``, ``.svg`` or ``.pdf``.
@@ -85,17 +90,17 @@ def draw_tracks(
         above, below = figure.subplots(2, 1, height_ratios=[height, 2.2])
         above.plot(*reference[:, :2].T, color=_REFERENCE, linewidth=3.0, label=name, zorder=2)
         first = min(float(track.stamps[0]) for track in tracks)
-        timed = all((np.diff(track.stamps) > 0.0).all() for track in tracks)
+        timed = all(_are_times(track.stamps) for track in tracks)
         for k, track in enumerate(tracks):
             line = {"color": _COLOURS[k % len(_COLOURS)], "linestyle": _STYLES[k // len(_COLOURS)]}
-            above.plot(*track.positions[:, :2].T, linewidth=1.1, label=track.name, zorder=3, **line)
-            at = track.stamps - first if timed else np.arange(len(track.stamps))
-            below.plot(at, track.errors, linewidth=1.1, **line)
+            above.plot(*track.positions[:, :2].T, label=track.name, zorder=3, **_THIN, **line)
+            at = track.stamps - first if timed else track.reference
+            below.plot(at, track.errors, **_THIN, **line)
         above.plot(*reference[0, :2], "o", color=_TEXT, markersize=5, label="start", zorder=4)
         above.set_aspect("equal", adjustable="datalim")
         above.set_xlabel("x, m")
         above.set_ylabel("y, m")
-        below.set_xlabel("time, s" if timed else "number of the pose (the stamps are no times)")
+        below.set_xlabel("time, s" if timed else "number of the reference's pose")
         below.set_ylabel("error, m")
         below.set_ylim(bottom=0.0)
         below.margins(x=0.01)
@@ -109,3 +114,9 @@ def draw_tracks(
         with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=150, metadata=_METADATA.get(suffix.removeprefix("."), {"Software": None}))
     return Path(path)
+
+
+def _are_times(stamps: NDArray[np.float64]) -> bool:
+    """Tell whether stamps are times: a scan and its odometry may share one, but none steps back and most are new."""
+    steps = np.diff(stamps)
+    return bool((steps >= 0.0).all() and 2 * np.count_nonzero(steps == 0.0) <= len(stamps))

@@ -31,16 +31,18 @@ if TYPE_CHECKING:
 
     from hexmap.graph.lattice_graph import LatticeGraph
 
-__all__ = ["inline_picture", "plot_cells", "plot_line", "plot_map", "plot_values"]
+__all__ = ["inline_picture", "plot_cells", "plot_graph", "plot_line", "plot_map", "plot_values"]
 
 _SHAPED_WIDTH, _SHAPED_CELLS = 1.5, 50_000  # pixels of a cell, and cells, that are drawn as shapes
 _SAMPLES = 2  # to each side of a pixel
 _MOST_PIXELS = 2000  # of the longer side of an image
-_INLINE_INCHES, _INLINE_DPI = (4.2, 3.2), 90
+_INLINE_INCHES, _INLINE_DPI = (4.2, 3.2), 180
+_INLINE_SCALE = 2  # pixels of the image to one of the page: sharp on fine screens
+_INLINE_BYTES = 150_000  # of an image; a larger one, which is all noise, is made with half the pixels
 _INLINE_CELLS = 300_000  # of a level in a notebook; a coarser one looks the same at that size
 _STRAYS, _ROOM = 0.005, 0.1  # of the cells on each side, and of the width of the others around these
 _INLINE_POINTS = 20_000  # of a line; more are no finer at that size
-_BLOCKED = SHADES[-2]
+_BLOCKED = "#7f7f7f"  # no colour of a cost
 _AT_ONCE = 1 << 20  # cells
 
 Box = tuple[FloatArray, FloatArray]
@@ -73,12 +75,13 @@ def plot_cells(
     height: float | None = None,
     colour: Any = None,
     alpha: float | None = None,
+    colorbar: bool = True,
 ) -> Axes:
     """Draw a list of cells: see :meth:`hexmap.VoxelList.plot`."""
     _check_height(cells.lattice, height)
     ax = _axes(ax)
     if cells.lattice.dim == 3 and height is None:
-        return _plot_highest(cells, ax, colour, alpha)
+        return _plot_highest(cells, ax, colour, alpha, colorbar)
     if colour is not None:
         return _plot_classes(ax, [(cells, np.zeros(len(cells), np.int64))], (colour,), height, alpha)
     return _plot_classes(ax, [(cells, _shades(cells))], SHADES, height, alpha)
@@ -119,8 +122,8 @@ def plot_values(
     """Draw a number a cell of a graph: see :meth:`planners.DistanceField.plot`.
 
     Args:
-        graph: the cells; those that are not free are dark.
-        values: (size,) by flat position; cells with a value that is not finite are pale.
+        graph: the cells; those that are not free are grey.
+        values: (size,) by flat position; cells with a value that is not finite are left blank.
         ax: axes to draw on; new ones where none are given.
         marks: (M, n) points to mark with rings, metres.
         height: of the horizontal cut through cells in space, metres.
@@ -141,15 +144,13 @@ def plot_values(
     def at(points: FloatArray) -> FloatArray:
         flat = graph.index_to_flat(graph.lattice.quantise(_in_space(points, height)))
         found = np.where(graph.free[flat] != 0, values[flat], -1.0)  # no cost is negative: these are blocked
-        found[~np.isfinite(found)] = -2.0
-        found[flat < 0] = np.nan
+        found[~np.isfinite(found) | (flat < 0)] = np.nan
         return found
 
     sampled = _sampled(ax, box, at, 1)[:, :, 0, 0]
     none = np.ma.masked_array(sampled, ~(sampled >= 0.0))
     plain = np.zeros((*sampled.shape, 4))
     plain[sampled == -1.0] = matplotlib.colors.to_rgba(_BLOCKED)
-    plain[sampled == -2.0] = matplotlib.colors.to_rgba(UNKNOWN_COLOUR)
     _add_image(ax, plain, box)
     image = _add_image(ax, none, box, cmap=HEIGHTS)
     if marks is not None and len(marks) <= 1000:  # of so many none would be seen for the others
@@ -159,6 +160,27 @@ def plot_values(
         )  # fmt: skip
     if colorbar and not none.mask.all():
         ax.figure.colorbar(image, ax=ax, label="least cost, m")
+    return _labelled(ax)
+
+
+def plot_graph(graph: LatticeGraph, ax: Axes | None = None, *, height: float | None = None) -> Axes:
+    """Draw which cells of a graph are free: see :meth:`hexmap.LatticeGraph.plot`."""
+    from matplotlib.colors import to_rgba
+
+    _check_height(graph.lattice, height)
+    if height is None and graph.lattice.dim == 3:
+        corners = np.array([graph.first, graph.first + graph.inner_shape - 1])
+        height = float(graph.lattice.centres(corners)[:, 2].mean())
+    ax = _axes(ax)
+    box = _free_box(graph)
+    colours = np.array([(0.0, 0.0, 0.0, 0.0), to_rgba(FREE_COLOUR), to_rgba(_BLOCKED)])
+
+    def at(points: FloatArray) -> NDArray[np.int64]:
+        flat = graph.index_to_flat(graph.lattice.quantise(_in_space(points, height)))
+        return np.where(flat < 0, 0, np.where(graph.free[flat] != 0, 1, 2))
+
+    ax.set_facecolor(UNKNOWN_COLOUR)
+    _add_image(ax, colours[_sampled(ax, box, at, 1)[:, :, 0, 0]], box)
     return _labelled(ax)
 
 
@@ -186,10 +208,18 @@ def inline_picture(value: Any) -> str:
             value.select(np.asarray(inside.all(axis=1))).plot(ax)
         else:
             value.plot(ax)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", bbox_inches="tight", metadata={"Software": None})
-    text = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<img alt="{type(value).__name__}" src="data:image/png;base64,{text}">'
+        scale, data = _INLINE_SCALE, _png(figure, _INLINE_DPI)
+        if len(data) > _INLINE_BYTES:
+            scale, data = 1, _png(figure, _INLINE_DPI // _INLINE_SCALE)
+    width = int.from_bytes(data[16:20], "big") // scale  # of the header of a PNG
+    text = base64.b64encode(data).decode("ascii")
+    return f'<img alt="{type(value).__name__}" width="{width}" src="data:image/png;base64,{text}">'
+
+
+def _png(figure: Any, dpi: int) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight", metadata={"Software": None})
+    return buffer.getvalue()
 
 
 def _without_strays(cells: VoxelList) -> Box | None:
@@ -360,7 +390,9 @@ def _image_of_classes(
     return image
 
 
-def _plot_highest(cells: VoxelList, ax: Any, colour: Any = None, alpha: float | None = None) -> Axes:
+def _plot_highest(
+    cells: VoxelList, ax: Any, colour: Any = None, alpha: float | None = None, colorbar: bool = False
+) -> Axes:
     """Draw cells in space from above, the highest of each column in the colour of its height."""
     import matplotlib
     from matplotlib.collections import PolyCollection
@@ -377,6 +409,9 @@ def _plot_highest(cells: VoxelList, ax: Any, colour: Any = None, alpha: float | 
     colours = matplotlib.colormaps[HEIGHTS]((highest.centres[:, 2] - low) / ((high - low) or 1.0))
     if colour is not None:
         colours[:] = to_rgba(colour)
+    elif colorbar:
+        heights = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(low, high), HEIGHTS)
+        ax.figure.colorbar(heights, ax=ax, label="z, m")
     if len(highest.centres) <= _SHAPED_CELLS and lattice.resolution >= _SHAPED_WIDTH * _pixel(ax, box):
         shapes = highest.centres[:, None, :2] + silhouette(lattice)
         # Edges of their own colour: seams between neighbours would shine.

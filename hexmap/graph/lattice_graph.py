@@ -18,12 +18,13 @@ import math
 import operator
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.pictures import drawing, picture_html
 from hexmap.base.values import integers
 from hexmap.graph.arrays import ArrayViews, free_of_blocked, joined, some_moves
 from hexmap.graph.bodies import Boxes
@@ -37,6 +38,9 @@ from hexmap.lattice.window import IndexBox, strides
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["MAX_CELLS", "LatticeGraph", "Neighbourhood", "swept_cells"]
 
@@ -512,6 +516,25 @@ class LatticeGraph(ArrayViews):
         """Show the window and the lattice."""
         inner = " x ".join(str(int(s)) for s in self.inner_shape)
         return f"<LatticeGraph of {inner} cells and {len(self.moves)} moves on {self.lattice!r}>"
+
+    def plot(self, ax: Axes | None = None, *, height: float | None = None) -> Axes:
+        """Draw the free cells and what blocks them on axes of matplotlib, in metres: white and grey.
+
+        Args:
+            ax: axes to draw on; new ones where none are given.
+            height: of the horizontal cut through a graph in space, metres; that of its middle where none is given.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ArgumentError: a height that is not finite, or of a graph in the plane.
+        """
+        return drawing().plot_graph(self, ax, height=height)
+
+    def _repr_html_(self) -> str:
+        """Show a small picture in a notebook."""
+        return picture_html(self)
 
     # ------------------------------------------------------------------ what is connected
 

@@ -387,6 +387,10 @@ def parquet_of(path: Path, handle: IO[bytes]) -> Any:
     if size == 0:
         raise FormatError(f"{path}: not a map: the file is empty")
     if not PARQUET.begins(head):
+        from hexmap.io.grids.open_grid import is_grid
+
+        if is_grid(path):
+            raise FormatError(f"{path}: not a map of hexmap: a map of another program, which hexmap.open_grid reads")
         raise FormatError(f"{path}: not a map: not a Parquet file (it begins with {quoted(head)})")
     if not PARQUET.begins(tail):
         raise FormatError(f"{path}: damaged map: the file is cut off at {size} bytes")

@@ -8,9 +8,9 @@ points. A map holds counts only; whether a cell is occupied, free or unknown is 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +38,10 @@ class Level:
 
     hits: VoxelList
     passes: VoxelList
+
+    def __repr__(self) -> str:
+        """Show the sizes and the resolution."""
+        return f"<Level of {len(self.hits)} hit and {len(self.passes)} passed cells at {self.lattice.resolution:g} m>"
 
     @property
     def lattice(self) -> Lattice:
@@ -142,19 +146,30 @@ class Map(Immutable):
             VoxelList(at.lattice, keys[occupied], hits[occupied]), VoxelList(at.lattice, keys[free], passes[free])
         )
 
-    def state_at(self, points: ArrayLike, level: int = 0, rule: StateRule | None = None) -> NDArray[np.uint8]:
+    @overload
+    def state_at(  # type: ignore[overload-overlap]
+        self, points: Sequence[float], level: int = 0, rule: StateRule | None = None
+    ) -> CellState: ...
+
+    @overload
+    def state_at(self, points: ArrayLike, level: int = 0, rule: StateRule | None = None) -> NDArray[np.uint8]: ...
+
+    def state_at(
+        self, points: ArrayLike, level: int = 0, rule: StateRule | None = None
+    ) -> NDArray[np.uint8] | CellState:
         """Return what is at points: occupied, free or unknown, as :meth:`state` has it of their cells.
 
         Args:
-            points: (N, n) metres, in the map's frame.
+            points: (N, n) metres, in the map's frame; or one point (n,).
             level: which level, 0 is the finest.
             rule: what a cell is, from its hits and passes; the default rule where none is given.
 
         Returns:
-            (N,) uint8 codes of :class:`~hexmap.maps.CellState`; unknown (0) wherever the map does not reach.
+            (N,) uint8 codes of :class:`~hexmap.maps.CellState`, of one point the state itself; unknown (0) wherever
+            the map does not reach.
 
         Raises:
-            ArgumentError: not points (N, n), or there is no such level.
+            ArgumentError: not points (N, n) or (n,), or there is no such level.
             BoundsError: a point is not finite.
 
         Examples:
@@ -164,10 +179,13 @@ class Map(Immutable):
             >>> codes = builder.build().state_at([[2.0, 0.0], [1.0, 0.01], [9.0, 9.0]])
             >>> [CellState(code).name for code in codes]
             ['OCCUPIED', 'FREE', 'UNKNOWN']
+            >>> builder.build().state_at([2.0, 0.0])
+            <CellState.OCCUPIED: 2>
         """
         lattice = self.level(level).lattice
         given = lossless(points)
-        if given is None or (given.size and (given.ndim != 2 or given.shape[1] != lattice.dim)):
+        one = given is not None and given.shape == (lattice.dim,)
+        if given is None or (given.size and not one and (given.ndim != 2 or given.shape[1] != lattice.dim)):
             raise ArgumentError(f"points in this map are real numbers (N, {lattice.dim}), not {quoted(points)}")
         at = given.astype(np.float64).reshape(-1, lattice.dim)
         if not np.isfinite(at).all():
@@ -179,7 +197,7 @@ class Map(Immutable):
         room = lattice.limit - 1.0 - np.abs(lattice.cell.vertices @ inverse.T).max(axis=0)
         near = (np.abs(at @ inverse.T) < room).all(axis=1)
         out[near] = states.of(lattice.quantise(at[near]))
-        return out
+        return CellState(int(out[0])) if one else out
 
     def _known(self, level: int, rule: StateRule) -> States:
         """Return the states of a level, the last ones asked for without computing them again."""

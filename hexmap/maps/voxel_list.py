@@ -223,7 +223,7 @@ class VoxelList(Immutable):
         Args:
             ax: axes to draw on; new ones where none are given.
             height: of a horizontal cut through cells in space, metres.
-            style: ``colour`` for one colour instead of shades; ``alpha``.
+            style: ``colour`` for one colour instead of shades; ``alpha``; ``colorbar=False`` for no bar of the heights.
 
         Returns:
             The axes.

@@ -111,9 +111,9 @@ def judge_cost(evidence: Evidence) -> list[Verdict]:
     return [_costs_more(evidence)]
 
 
-def _graded(whole: bool, in_part: bool) -> Outcome:
-    """Return the outcome: it holds, or else holds in part, or does not."""
-    return "holds" if whole else "holds in part" if in_part else "does not hold"
+def _graded(whole: bool, in_part: bool, even: bool = False) -> Outcome:
+    """Return the outcome: it holds, or else holds in part, or is undecided where no interval speaks against it."""
+    return "holds" if whole else "holds in part" if in_part else "undecided" if even else "does not hold"
 
 
 def _listed(evidence: Evidence, intervals: Sequence[Interval]) -> str:
@@ -225,11 +225,12 @@ def _cell_count_is_steadier(evidence: Evidence) -> Verdict:
     # The paper says how much steadier only of space.
     space = evidence.base.dim == 3
     lowest = min(interval.low for interval in evidence.variability)
+    even = min(interval.high for interval in evidence.variability) >= (3.0 if space else 1.0)
     return Verdict(
         "The number of cells varies three times less under rotation" if space
         else "The number of cells varies less under rotation",
         "abstract, VI",
-        _graded(lowest >= (3.0 if space else 1.0), lowest >= 1.0),
+        _graded(lowest >= (3.0 if space else 1.0), lowest >= 1.0, even),
         f"ratio of sigma / mu, {evidence.base.name} over the other: holds where every interval lies above "
         + ("3, in part above 1" if space else "1"),
         _listed(evidence, evidence.variability),
@@ -241,7 +242,7 @@ def _distortion_is_steadier(evidence: Evidence) -> Verdict:
     return Verdict(
         "The distortion varies less under rotation",
         "VI",
-        _graded(min(lows) > 1, max(lows) > 1),
+        _graded(min(lows) > 1, max(lows) > 1, min(interval.high for interval in evidence.steadiness) >= 1),
         f"ratio of sigma / mu, {evidence.base.name} over the other: holds where every interval lies above 1",
         _listed(evidence, evidence.steadiness),
     )
@@ -252,7 +253,7 @@ def _centres_are_nearer(evidence: Evidence) -> Verdict:
     return Verdict(
         "Points lie nearer to the centres of their cells",
         "II, VI",
-        _graded(max(highs) < 1, min(highs) < 1),
+        _graded(max(highs) < 1, min(highs) < 1, max(interval.low for interval in evidence.distortions) <= 1),
         f"mean distortion over {evidence.base.name}'s at equal cell size: holds where every interval lies below 1",
         _listed(evidence, evidence.distortions),
     )
@@ -264,14 +265,17 @@ def _fewer_cells(evidence: Evidence) -> Verdict:
     return Verdict(
         "A map needs fewer cells (representation efficiency)",
         "I, VII",
-        _graded(max(interval.high for interval in evidence.counts) < 1, max(covering) < 1),
+        _graded(
+            max(interval.high for interval in evidence.counts) < 1, max(covering) < 1,
+            max(interval.low for interval in evidence.counts) <= 1,
+        ),
         f"cells of the scan over {base.name}'s at equal cell size: holds where every interval lies below 1; in "
         "part where that is so only for space as a whole at equal covering radius",
         "; ".join(
             f"{v.name} {format_interval(i)}, at equal covering radius {cover:.3f}"
             for v, i, cover in zip(others, evidence.counts, covering, strict=True)
         ),
-    )
+    )  # fmt: skip
 
 
 def _costs_more(evidence: Evidence) -> Verdict:

@@ -18,6 +18,8 @@ __all__ = ["learning_curves", "local_curves", "risk_curves", "run_curves", "succ
 
 _STYLES = {"cell": "-", "radius": "--"}
 _FAINT = 0.5  # of the lines of a baseline
+_PALER = 0.45  # of white in the colour of a lattice at equal covering radius
+_WHOLE = 1.03  # of shares: a line at 1 is seen whole
 _AXIS_WORDS = {
     "scans": "share of scans in the map", "beams": "share of beams kept", "range": "range, m",
     "changed": "share of walls changed",
@@ -29,9 +31,14 @@ def _width(results: Results, grid: Grid, width: float = 1.6) -> float:
     return width if grid.name != results.grids[0].name else 1.7 * width
 
 
-def _colour(results: Results, grid: Grid) -> str:
+def _colour(results: Results, grid: Grid) -> tuple[float, float, float]:
+    """Return the colour of a lattice, paler at equal covering radius."""
+    from matplotlib.colors import to_rgb
+
     names = list(dict.fromkeys(g.name for g in results.grids))
-    return COLOURS[names.index(grid.name) % len(COLOURS)]
+    paler = 0.0 if grid.equal == "cell" else _PALER
+    red, green, blue = (v + paler * (1.0 - v) for v in to_rgb(COLOURS[names.index(grid.name) % len(COLOURS)]))
+    return red, green, blue
 
 
 def _panels(results: Results, draw: Callable[[Any, Grid], None], across: str, up: str) -> Figure:
@@ -54,6 +61,10 @@ def _panels(results: Results, draw: Callable[[Any, Grid], None], across: str, up
     return figure
 
 
+def _words(threshold: tuple[float, float]) -> str:
+    return f"within {threshold[0]:g} m and {threshold[1]:g}°"
+
+
 def success_curves(results: Results, task: str) -> Figure:
     """Return the share of scans found over the distance that is allowed."""
     metres = np.geomspace(0.003, 2.0, 150)
@@ -67,10 +78,10 @@ def success_curves(results: Results, task: str) -> Figure:
                 linewidth=_width(results, grid, width), alpha=alpha,
                 label=grid.label if method == "all angles" else f"{grid.label}, angle set",
             )  # fmt: skip
-        panel.set_ylim(0.0, 1.02)
+        panel.set_ylim(0.0, _WHOLE)
         panel.set_xticks([0.01, 0.1, 1.0], ["0.01", "0.1", "1"])
 
-    return _panels(results, draw, "metres allowed", "share of scans")
+    return _panels(results, draw, "metres allowed", f"share of scans found\n(and within {THRESHOLDS[-1][1]:g}°)")
 
 
 def risk_curves(results: Results, task: str) -> Figure:
@@ -89,7 +100,7 @@ def risk_curves(results: Results, task: str) -> Figure:
         panel.set_xlim(0.0, 1.0)
         panel.set_ylim(-0.02, max(0.3, panel.get_ylim()[1]))
 
-    return _panels(results, draw, "share answered", "wrong among them")
+    return _panels(results, draw, "share of scans answered, the surest first", "share of wrong answers")
 
 
 def local_curves(results: Results) -> Figure:
@@ -103,9 +114,9 @@ def local_curves(results: Results) -> Figure:
         ]
         panel.plot(sizes, shares, _STYLES[grid.equal], marker="o", color=_colour(results, grid), label=grid.label,
                    linewidth=_width(results, grid))  # fmt: skip
-        panel.set_ylim(0.0, 1.02)
+        panel.set_ylim(0.0, _WHOLE)
 
-    return _panels(results, draw, "start off by, m", "share of scans")
+    return _panels(results, draw, "start off by, m", f"share of scans matched\n({_words(THRESHOLDS[0])})")
 
 
 def run_curves(results: Results) -> Figure:
@@ -123,9 +134,9 @@ def run_curves(results: Results) -> Figure:
             panel.plot(along + 1, [float(good[steps == k].mean()) for k in along], _STYLES[grid.equal],
                        color=_colour(results, grid), linewidth=_width(results, grid, width), alpha=alpha,
                        label=label)  # fmt: skip
-        panel.set_ylim(0.0, 1.02)
+        panel.set_ylim(0.0, _WHOLE)
 
-    return _panels(results, draw, "scans seen", "share of robots")
+    return _panels(results, draw, "scans seen", f"share of robots localised\n({_words(THRESHOLDS[1])})")
 
 
 def learning_curves(results: Results) -> Figure:
@@ -138,9 +149,11 @@ def learning_curves(results: Results) -> Figure:
         "scans": [1.0, *s.shares], "beams": [1.0, *s.shares], "changed": [0.0, *s.changes], "range": list(s.ranges),
     }  # fmt: skip
     with figure_style():
-        figure = Figure(figsize=(8.2, 2.9), layout="constrained")
-        panels = figure.subplots(1, len(LEARNING_AXES), sharey=True)
-        for panel, axis in zip(panels, LEARNING_AXES, strict=True):
+        # A point is no curve.
+        shown = [axis for axis in LEARNING_AXES if len(points[axis]) > 1] or LEARNING_AXES[:1]
+        figure = Figure(figsize=(1.4 + 1.7 * len(shown), 2.9), layout="constrained")
+        panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+        for panel, axis in zip(panels, shown, strict=True):
             for grid in grids:
                 shares = []
                 for value in points[axis]:
@@ -150,8 +163,8 @@ def learning_curves(results: Results) -> Figure:
                 panel.plot(points[axis], shares, _STYLES[grid.equal], marker="o", color=_colour(results, grid),
                            label=grid.label, linewidth=_width(results, grid))  # fmt: skip
             panel.set_xlabel(_AXIS_WORDS[axis])
-            panel.set_ylim(0.0, 1.02)
-        panels[0].set_ylabel("share of scans")
+            panel.set_ylim(0.0, _WHOLE)
+        panels[0].set_ylabel(f"share of scans found\n({_words(THRESHOLDS[-1])})")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
     return figure

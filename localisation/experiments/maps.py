@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.values import one_line
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.builder import MapBuilder
 from hexmap.maps.state_rule import States
@@ -75,6 +76,8 @@ class Prepared:
     states: States
     searched: States
     scan: FloatArray
+
+    __repr__ = one_line
 
     def matcher(self) -> GlobalMatcher:
         """Return a new matcher over the whole map.

@@ -113,14 +113,16 @@ def _add_comparisons(report: Report, comparisons: Sequence[Comparison]) -> None:
             {
                 "measure": c.measure.label, "m": c.resolution, "lattice": c.rival, "equal": c.equal,
                 "its value": c.there,
-                f"{base}'s": c.here, "is": "times" if c.measure.ratio else "difference", "95 % interval": c.interval,
+                f"{base}'s": c.here, "ratio": c.interval if c.measure.ratio else None,
+                "difference": None if c.measure.ratio else c.interval,
                 "pairs": c.pairs, "outcome": {"tie": "even"}.get(c.outcome, c.outcome),
             }
             for c in comparisons
         ],
-        formats={"95 % interval": lambda i: f"{i.value:+.3f} [{i.low:+.3f}, {i.high:+.3f}]", "its value": ".3g",
+        formats={"ratio": ".3f", "difference": lambda i: f"{i.value:+.3f} [{i.low:+.3f}, {i.high:+.3f}]",
+                 "its value": ".3g",
                  f"{base}'s": ".3g", "m": "g"},
-        caption="All comparisons: ratio or difference of the paired values with its bootstrap interval (BCa; of "
+        caption="All comparisons: ratio or difference of the paired values with its 95 % bootstrap interval (BCa; of "
         "stretches of the log where neighbouring scans are alike). Decided is what the interval decides and a "
         "permutation test of the pairs too (p <= 0.05). Robots and mapping runs are one pair each.",
     )  # fmt: skip

@@ -227,10 +227,17 @@ def in_space_settings(**values: Any) -> ExperimentSettings:
 
 
 def quick(settings: ExperimentSettings) -> ExperimentSettings:
-    """Return the settings with smaller numbers of everything: for a first look, with wide intervals."""
+    """Return the settings with smaller numbers of everything: for a first look, with wide intervals.
+
+    Of several resolutions the finest, which costs the most, is left out, and of several tasks mapping: so few runs of
+    it as there is time for decide nothing.
+    """
+    tasks = tuple(task for task in settings.tasks if task != "mapping") or settings.tasks
+    coarser = tuple(r for r in settings.resolutions if r > min(settings.resolutions))
     return replace(
-        settings, scans=16, starts=4, length=min(12, settings.length), learning_scans=8, shares=settings.shares[1:2],
-        ranges=settings.ranges[1:2], changes=settings.changes[1:2], runs=4, rotations=18, node_limit=300_000,
+        settings, tasks=tasks, resolutions=coarser or settings.resolutions, scans=10, starts=4,
+        length=min(8, settings.length), learning_scans=6, shares=settings.shares[1:2],
+        ranges=settings.ranges[1:2], changes=settings.changes[1:2], runs=4, rotations=12, node_limit=100_000,
     )  # fmt: skip
 
 

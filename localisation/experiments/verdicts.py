@@ -14,7 +14,7 @@ from localisation.experiments.comparison import Comparison, sign_test
 from localisation.experiments.results import Results, column, is_right
 from localisation.experiments.settings import THRESHOLDS, Grid
 
-__all__ = ["equal_words", "interval_of", "judge", "summary"]
+__all__ = ["equal_words", "interval_of", "judge", "summary", "verdict"]
 
 # A claim about the rival, and by which measures it is judged.
 _CLAIMS = (
@@ -48,7 +48,7 @@ def judge(results: Results, comparisons: Sequence[Comparison]) -> list[Verdict]:
         for claim, keys in _CLAIMS:
             about = [c for c in mine if _belongs(c.measure.key, keys)]
             if about:
-                out.append(_verdict(f"{rival} {claim} than {base} {equal_words(equal, cell)}", about))
+                out.append(verdict(f"{rival} {claim} than {base} {equal_words(equal, cell)}", about))
     return [*out, *_against_angle_set(results), *_against_filter(results), *_calibrated(results)]
 
 
@@ -59,13 +59,10 @@ def _belongs(key: str, keys: tuple[str, ...]) -> bool:
     return key in keys
 
 
-def _verdict(claim: str, about: Sequence[Comparison]) -> Verdict:
+def verdict(claim: str, about: Sequence[Comparison]) -> Verdict:
+    """Return what becomes of a claim by the comparisons it is about."""
     won, lost = ([c for c in about if c.outcome == which] for which in ("win", "lose"))
-    outcome: Outcome = "does not hold"
-    if won and not lost:
-        outcome = "holds" if len(won) == len(about) else "holds in part"
-    elif len(won) > len(lost):
-        outcome = "holds in part"
+    outcome = _outcome(len(won), len(lost), len(about))
     decided = "; ".join(_words(c) for c in [*won, *lost])
     ties = len(about) - len(won) - len(lost)
     evidence = f"{len(won)} won, {ties} even, {len(lost)} lost of {len(about)} comparisons" + (
@@ -73,9 +70,16 @@ def _verdict(claim: str, about: Sequence[Comparison]) -> Verdict:
     )
     return Verdict(
         claim, _section(about[0]), outcome,
-        "holds where every comparison is won, in part where more are won than lost, else not",
+        "holds where every comparison is won, in part where more are won than lost, undecided where as many, else not",
         evidence,
     )  # fmt: skip
+
+
+def _outcome(won: int, lost: int, compared: int) -> Outcome:
+    """Return what becomes of a claim by how many of its comparisons are won and lost."""
+    if won == lost:
+        return "undecided"
+    return "does not hold" if lost > won else "holds" if won == compared else "holds in part"
 
 
 def _section(c: Comparison) -> str:
@@ -177,8 +181,9 @@ def _better_on_every_grid(
     return [
         Verdict(
             claim, topic,
-            "holds" if won == len(results.grids) else "holds in part" if won > lost else "does not hold",
-            "exact sign test on every grid: holds where all have p <= 0.05, in part where more are won than lost",
+            _outcome(won, lost, len(results.grids)),
+            "exact sign test on every grid: holds where all have p <= 0.05, in part where more are won than lost, "
+            "undecided where as many",
             "; ".join(evidence),
         )
     ]  # fmt: skip

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hexmap.base.arrays import FloatArray
+from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from localisation.localiser.evidence import Evidence
 from localisation.matching.match import Match
@@ -53,6 +54,8 @@ class Place:
     match: Match | None = None
     fits: bool = True
     tracked: bool = False
+
+    __repr__ = one_line
 
     @classmethod
     def at(cls, pose: Pose, covariance: FloatArray, *, settled: float = 0.0, tracked: bool = False) -> Place:

@@ -28,7 +28,7 @@ from planners.benchmark.result_group import (
     reference_lengths,
 )
 from planners.benchmark.results import Results
-from planners.benchmark.settings import MOST_DROPPED, settings_table
+from planners.benchmark.settings import LEAST_QUERIES, MOST_DROPPED, settings_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,11 @@ def make_report(results: Results, command: str) -> Outcome:
 def _interval(seed: int) -> IntervalOf:
     """Return the function that makes intervals, with random numbers of the seed alone."""
 
-    def interval(values: FloatArray) -> Interval:
-        if len(values) < 2 or np.ptp(values) == 0.0:
-            value = float(values.mean()) if len(values) else math.nan
+    def interval(values: FloatArray) -> Interval | float:
+        value = float(values.mean()) if len(values) else math.nan
+        if len(values) < LEAST_QUERIES:
+            return value
+        if np.ptp(values) == 0.0:
             return Interval(value, value, value)
         return bootstrap(values, mean_of, rng=np.random.default_rng([seed, 1]))
 
@@ -136,8 +138,8 @@ def _report_queries(report: Report, results: Results, kept: list[NDArray[np.bool
         "the length of the true any-angle optimum on the source map, which may touch walls; in space, where no such "
         "optimum is at hand, over the shortest path that anything found here. Maps are rasterised by cell centre, "
         "and closed around points where blocked cells touch only there. Intervals are 95 % bootstrap intervals over "
-        "queries (BCa), each query the mean over the angles. A grid is named by its lattice and its number of moves: "
-        "A2-12 are hexagons with their 12 nearest neighbours."
+        f"queries (BCa), each query the mean over the angles; means of fewer than {LEAST_QUERIES} queries have none. "
+        "A grid is named by its lattice and its number of moves: A2-12 are hexagons with their 12 nearest neighbours."
     )
     for text in results.left_out:
         report.paragraph(f"Left out, larger than {results.settings.max_cells:,} cells: {text}.")

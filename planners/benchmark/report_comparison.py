@@ -16,6 +16,7 @@ from hexmap.experiments.statistics import Interval, bootstrap_ratio
 from hexmap.experiments.statistics import mean as mean_of
 from planners.benchmark.report_words import compared_sizes, share_word
 from planners.benchmark.result_group import ResultGroup
+from planners.benchmark.settings import LEAST_QUERIES
 
 __all__ = ["Comparison", "compare_grids", "length_verdicts", "report_comparison"]
 
@@ -92,9 +93,9 @@ def _is_box(x: ResultGroup) -> bool:
 
 
 def _ratio(a: ResultGroup, b: ResultGroup, measure: _Measure, seed: int) -> Interval | None:
-    """Return how many times ``b``'s value ``a``'s is on the same queries; None where there is no telling."""
+    """Return how many times ``b``'s value ``a``'s is on the same queries; None for too few or for zeros."""
     u, v = a.values[measure.key], b.values[measure.key]
-    if len(u) != len(v) or len(u) < 2 or not v.mean() > 0 or not u.mean() > 0:
+    if len(u) != len(v) or len(u) < LEAST_QUERIES or not v.mean() > 0 or not u.mean() > 0:
         return None
     return bootstrap_ratio(u, v, measure.statistic, rng=np.random.default_rng([seed, 3]))
 
@@ -106,12 +107,15 @@ def length_verdicts(comparisons: Sequence[Comparison]) -> list[Verdict]:
     for dim, grid, against in dict.fromkeys((c.dim, c.grid, c.against) for c in lengths):
         about = [c for c in lengths if (c.dim, c.grid, c.against) == (dim, grid, against)]
         won = sum(c.standing == "win" for c in about)
-        outcome: Outcome = "holds" if won == len(about) else "holds in part" if won else "does not hold"
+        lost = sum(c.standing == "lose" for c in about)
+        outcome: Outcome = "does not hold" if lost else "undecided"
+        if won:
+            outcome = "holds" if won == len(about) else "holds in part"
         out.append(
             Verdict(
                 f"{grid} plans shorter paths than {against}", f"{dim}D", outcome,
                 "mean length over the other's on the same queries: holds where the interval lies below 1 at every cell "
-                "size, in part where it does at some",
+                "size, in part where it does at some, undecided where it holds 1 at all",
                 "; ".join(f"{format_interval(c.ratio)} times at {share_word(c.fraction)}" for c in about),
             )
         )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from math import nan
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from hexmap.experiments.report.figures import COLOURS, figure_style
 from hexmap.experiments.report.report import Report
+from hexmap.experiments.statistics import Interval
 from hexmap.paper.verdicts import mean_path_factor
 from planners.benchmark.report_words import IntervalOf, compared_sizes, length_groups, optimum_word, size_word
 from planners.benchmark.result_group import ResultGroup
@@ -98,7 +98,7 @@ def _by_distance(report: Report, shown: list[ResultGroup], dim: int, fraction: i
                 if not (bins == b).any():
                     continue
                 row[f"{edges[b]:.1f} to {edges[b + 1]:.1f}"] = value = interval(x.values["ratio"][bins == b])
-                found.append(value if (bins == b).sum() >= LEAST_QUERIES else replace(value, low=nan, high=nan))
+                found.append(value if isinstance(value, Interval) else Interval(value, nan, nan))
             rows.append(row)
             excess, lows, highs = (
                 [nan if math.isnan(value) else max(100.0 * (value - 1.0), _LEAST) for value in values]
@@ -108,8 +108,10 @@ def _by_distance(report: Report, shown: list[ResultGroup], dim: int, fraction: i
             high = [b - a for a, b in zip(excess, highs, strict=True)]
             # Apart from each other, so that no interval hides another one.
             at = [m * math.exp(_APART * (k - 0.5 * (len(shown) - 1))) for m in middles]
+            sure = any(not math.isnan(end) for end in low)
             axes.errorbar(
-                at, excess, yerr=[low, high], linestyle=_STYLES[k % len(_STYLES)], marker=_MARKERS[k % len(_MARKERS)],
+                at, excess, yerr=[low, high] if sure else None, linestyle=_STYLES[k % len(_STYLES)],
+                marker=_MARKERS[k % len(_MARKERS)],
                 color=COLOURS[k % len(COLOURS)], label=x.label, capsize=2.5, linewidth=1.1, markersize=4.5,
             )  # fmt: skip
         axes.set_xscale("log")
@@ -123,15 +125,20 @@ def _by_distance(report: Report, shown: list[ResultGroup], dim: int, fraction: i
         axes.set_xlabel(f"{optimum_word(dim)}, source cells")
         axes.set_ylabel(f"% longer than the {optimum_word(dim)}")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7.5)
+    counts = [int((bins == b).sum()) for b in range(_BINS)]
+    few = "" if min(counts) >= LEAST_QUERIES else f", none of fewer than {LEAST_QUERIES} queries"
+    words = f"means with 95 % intervals{few}" if max(counts) >= LEAST_QUERIES else (
+        f"means, without intervals: each is of fewer than {LEAST_QUERIES} queries"
+    )  # fmt: skip
     report.table(
         f"distance_{dim}d_{fraction}", rows, formats={c: ".4f" for c in rows[0] if c != "grid"},
         caption=f"Length over the {optimum_word(dim)} by its length in source cells, edge 1/{fraction}; "
-        f"{', '.join(str(int((bins == b).sum())) for b in range(_BINS))} queries.",
+        f"{', '.join(map(str, counts))} queries.",
     )  # fmt: skip
     report.figure(
         f"distance_{dim}d_{fraction}", figure,
-        f"By how much paths are longer than the {optimum_word(dim)}, by distance, edge 1/{fraction}: means with 95 % "
-        f"intervals, on a scale of logarithms; no more than {_LEAST:g} % stands at its foot.",
+        f"By how much paths are longer than the {optimum_word(dim)}, by distance, edge 1/{fraction}: {words}, "
+        f"on a scale of logarithms; no more than {_LEAST:g} % stands at its foot.",
     )  # fmt: skip
 
 

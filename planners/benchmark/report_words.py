@@ -11,7 +11,8 @@ from planners.benchmark.result_group import ResultGroup
 
 __all__ = ["IntervalOf", "compared_sizes", "length_groups", "optimum_word", "share_word", "size_word"]
 
-IntervalOf: TypeAlias = Callable[[FloatArray], Interval]  # the mean of values (Q,) with its confidence interval
+# The mean of values (Q,) with its confidence interval, or alone where there are too few for one.
+IntervalOf: TypeAlias = Callable[[FloatArray], Interval | float]
 
 
 def optimum_word(dim: int) -> str:

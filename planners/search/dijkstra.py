@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
 from hexmap.base.pictures import picture_html
-from hexmap.base.values import integers, one_line
+from hexmap.base.values import integers
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.heuristics import least_terrain
 
@@ -61,7 +61,11 @@ class DistanceField:
     _distance: NDArray[np.float64] | None = None
     _partial: bool = False
 
-    __repr__ = one_line
+    def __repr__(self) -> str:
+        """Show where from, how far it reaches and the graph."""
+        count = len(self.sources)
+        sources = "1 source" if count == 1 else f"{count} sources"
+        return f"<DistanceField from {sources} to {self.settled:,} cells of {self.graph!r}>"
 
     @cached_property
     def distance(self) -> NDArray[np.float64]:
@@ -97,10 +101,26 @@ class DistanceField:
         kernels.parents(self._values, out, self._arrays())
         return out
 
-    def plot(self, ax: Axes | None = None, *, height: float | None = None, colorbar: bool = True) -> Axes:
-        """Draw the least costs on axes of matplotlib: the sources as rings, cells that are not free dark.
+    def to_array(self) -> NDArray[np.float64]:
+        """Return the least costs with an axis an index, as :meth:`LatticeGraph.to_array` returns cells.
 
-        Cells that are free and out of reach are pale. In space what a horizontal plane cuts is drawn.
+        Returns:
+            (``graph.inner_shape``) float64 metres (times terrain): ``array[cell - graph.first]``; inf where no path
+            leads.
+
+        Examples:
+            >>> import numpy as np
+            >>> from hexmap import LatticeGraph
+            >>> from planners import dijkstra
+            >>> dijkstra(LatticeGraph.from_array(np.zeros((1, 4), bool), "Z2"), [0, 1]).to_array()
+            array([[1., 0., 1., 2.]])
+        """
+        return self.graph.to_array(self.distance)
+
+    def plot(self, ax: Axes | None = None, *, height: float | None = None, colorbar: bool = True) -> Axes:
+        """Draw the least costs on axes of matplotlib: the sources as rings, cells that are not free grey.
+
+        Cells that are free and out of reach are left blank. In space what a horizontal plane cuts is drawn.
 
         Args:
             ax: axes to draw on; new ones where none are given.

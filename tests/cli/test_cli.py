@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from hexmap.base.errors import FormatError
 from hexmap.cli import main
 from hexmap.io.map_file import load_map
 from tests.observing import PATIENCE, wait_until
@@ -182,6 +183,30 @@ def test_help_imports_nothing_heavy() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert "build" in done.stdout and "evaluate" in done.stdout
+    commands = done.stdout.partition("Commands:")[2]
+    assert commands and "..." not in commands  # every line is whole
+
+
+@pytest.mark.parametrize(
+    ("command", "usage"),
+    [("build", "LOG..."), ("evaluate", "TRAJECTORY..."), ("merge", "MAPS..."), ("plan", "MAP"), ("info", "MAP")],
+)
+def test_usage_names_arguments_plainly(command: str, usage: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(command, "--help") == 0
+    assert capsys.readouterr().out.splitlines()[0] == f"Usage: hexmap {command} [OPTIONS] {usage}"
+
+
+def test_lattices_of_ones_own_stand_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("lattices", "--basis", "2,0;1,1.7320508075688772") == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()[:9] if line.split()}
+    own, hexagonal = rows["own"].split(), rows["A2"].split()
+    assert own[-9:] == hexagonal[-9:]  # hexagons by another name
+
+
+def test_a_map_of_others_is_read_by_another_function(tmp_path: Path) -> None:
+    (tmp_path / "office.yaml").write_text("image: office.pgm\n")
+    with pytest.raises(FormatError, match=r"office\.yaml: .*open_grid"):
+        load_map(tmp_path / "office.yaml")
 
 
 def test_the_program_runs_as_a_module_and_says_its_version() -> None:

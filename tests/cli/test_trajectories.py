@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from hexmap.cli import main
+from hexmap.drawing.track_drawing import Track, draw_tracks
 from hexmap.io.trajectories import read_trajectory, read_tum, write_kitti, write_tum
 from hexmap.poses.pose import Pose
 from hexmap.poses.trajectory import Trajectory
@@ -92,6 +94,39 @@ def test_stamps_that_go_with_nothing_name_the_way_out(folder: Path, capsys: pyte
     assert call("evaluate", folder / "later.tum", "--reference", true, "--associate", "order") == 0
     text = failure(folder / "all.tum", "--reference", true, "--associate", "order")
     assert "60" in text and "120" in text and "--trajectory-of scans" in text
+
+
+@pytest.mark.parametrize(
+    ("stamps", "axis"),
+    [
+        (0.1 * (np.arange(20) // 2), [0.0, 0.9]),  # a scan and its odometry share a stamp
+        (0.1 * (np.arange(20) // 4), [30.0, 49.0]),
+        (0.1 * (np.arange(20)[::-1]), [30.0, 49.0]),
+    ],
+    ids=["pairs", "repeated", "backwards"],
+)
+def test_errors_stand_over_time_or_over_the_pose_of_the_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stamps: np.ndarray, axis: list[float]
+) -> None:
+    seen: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *a, **k: seen.append(figure))
+    at = np.column_stack([np.arange(20), np.zeros((20, 2))])
+    track = Track("a", stamps, at, np.ones(20), np.arange(30, 50))
+    draw_tracks(tmp_path / "t.png", at, [track])
+    (line,) = seen[0].axes[1].get_lines()
+    assert [line.get_xdata().min(), line.get_xdata().max()] == pytest.approx(axis)
+    assert seen[0].axes[1].get_xlabel() == ("time, s" if axis[0] == 0.0 else "number of the reference's pose")
+
+
+def test_the_table_says_how_much_of_the_time_is_covered(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    poses = read_tum(folder / "good.tum")
+    write_tum(tmp_path / "half.tum", Trajectory(poses.stamps[:31], poses.positions[:31], poses.quaternions[:31]))
+    assert call("evaluate", folder / "true.tum", folder / "good.tum", tmp_path / "half.tum") == 0
+    lines = capsys.readouterr().out.splitlines()
+    shares = [line.split()[-1] for line in lines if line.startswith(("  good", "  half")) and line.endswith("%")]
+    assert shares == ["100.0%", "50.8%"]
 
 
 def test_few_partners_are_said(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -44,7 +44,8 @@ def values_on(case: Case) -> list[Any]:
     field = dijkstra(LatticeGraph.from_array(blocked, case.lattice), [0] * n)
     made = map_on(case)
     trajectory = Trajectory.from_poses([0.0, 1.0], [Pose.identity(n), Pose(np.eye(n), [0.5] * n)])
-    return [made, made.levels[0].hits, field, field.path_to([5] * n), trajectory, VoxelList.empty(case.lattice)]
+    path, none = field.path_to([5] * n), VoxelList.empty(case.lattice)
+    return [made, made.levels[0].hits, field.graph, field, path, trajectory, none]
 
 
 def axes() -> Axes:
@@ -66,7 +67,7 @@ def pixels_of(ax: Axes) -> Any:
 
 def inline(html: str) -> Any:
     """Return the picture in some HTML, None where there is none."""
-    found = re.search(r'<img alt="\w+" src="data:image/png;base64,([^"]+)">', html)
+    found = re.search(r'<img alt="\w+" width="\d+" src="data:image/png;base64,([^"]+)">', html)
     return None if found is None else Image.open(io.BytesIO(base64.b64decode(found[1])))
 
 
@@ -85,7 +86,9 @@ def test_notebooks_show_a_small_picture_and_a_line(case: Case) -> None:
     for value in values_on(case):
         html = value._repr_html_()
         picture = inline(html)
-        assert picture is not None and max(picture.size) < 500
+        assert picture is not None and max(picture.size) < 1000
+        shown = re.search(r'<img alt="\w+" width="(\d+)"', html)
+        assert shown is not None and int(shown[1]) == picture.width // 2  # twice the pixels, as wide on the page
         assert len(html) < 200_000
         assert html.count("<pre>") == 1 and "\n" not in html
 
@@ -131,7 +134,7 @@ def test_space_is_seen_from_above_or_cut(case: Case) -> None:
 
 @pytest.mark.parametrize("case", PLANAR, ids=str)
 def test_a_plane_has_no_height(case: Case) -> None:
-    for value in values_on(case)[:3]:
+    for value in values_on(case)[:4]:
         with pytest.raises(ArgumentError, match="of the plane"):
             value.plot(axes(), height=1.0)
 
@@ -147,7 +150,7 @@ def test_what_was_drawn_before_stays_in_sight(case: Case) -> None:
 
 
 def test_lines_take_the_style_of_matplotlib_and_space_where_there_is_some() -> None:
-    path = values_on(SPATIAL[0])[3]
+    path = values_on(SPATIAL[0])[4]
     line = path.plot(axes(), c="tab:green", lw=3.0, label="mine").lines[0]
     assert (line.get_color(), line.get_linewidth(), line.get_label()) == ("tab:green", 3.0, "mine")
     space = path.plot(Figure().add_subplot(projection="3d"))
@@ -161,10 +164,19 @@ def test_a_field_marks_what_cannot_be_entered_and_what_cannot_be_reached() -> No
     field = dijkstra(LatticeGraph.from_array(blocked, "Z2"), [0, 0])
     at = pixels_of(field.plot(axes(), colorbar=False))
     wall, beyond, near, far = at(np.array([[4.0, 4.0], [8.0, 8.0], [1.0, 1.0], [3.0, 8.0]]))
-    assert wall.sum() < 400 < 600 < beyond.sum()
+    assert wall.sum() < 400 and np.ptp(wall) == 0  # grey, which no cost is
+    assert beyond.sum() == 3 * 255
     assert abs(near - far).sum() > 100
     assert len(field.plot(axes()).figure.axes) == 2  # the colours are explained
     assert len(field.plot(axes(), colorbar=False).figure.axes) == 1
+
+
+def test_heights_of_cells_in_space_are_explained() -> None:
+    cells = VoxelList.from_points([[0.0, 0.0, 0.0], [1.0, 0.0, 2.0]], "D3", 0.5)
+    _, bar = cells.plot(axes()).figure.axes
+    assert bar.get_ylabel() == "z, m"
+    assert len(cells.plot(axes(), colorbar=False).figure.axes) == 1
+    assert len(cells.plot(axes(), colour="red").figure.axes) == 1
 
 
 def test_new_axes_are_made_where_none_are_given() -> None:

@@ -102,6 +102,7 @@ def report() -> Report:
             Verdict("Three times less", "VI", "does not hold", "high < 1/3", "0.4 [0.3, 0.5]"),
             Verdict("Two", "VI", "holds in part", "a", "b"),
             Verdict("Three", "VI", "holds", "a", "b"),
+            Verdict("Four", "VI", "undecided", "a", "b"),
         ]
     )
     return made
@@ -208,7 +209,7 @@ def test_the_page_says_what_it_is_told(folder: Path) -> None:
     assert "1.69 % [1.52, 1.83]" in page.cells and "0.56 % [0.51, 0.62]" in page.cells
     assert "12,034" in page.cells and "0.300" in page.cells and "–" in page.cells and "yes" in page.cells
     words = " ".join("".join(page.texts).split())
-    assert "Claims: 2 hold, 1 holds in part, 1 does not hold." in words
+    assert "Claims: 2 hold, 1 holds in part, 1 undecided, 1 does not hold." in words
     assert "hexmap experiment rotation hall.pcd -o report/" in words
     assert re.search(r"hexmap \d\S+, Python 3\.\S+, numpy \S+", words)
     assert "Rule: high < 1/3" in words

@@ -108,3 +108,17 @@ def test_arrays_keep_to_the_range_of_indices() -> None:
     graph = LatticeGraph.from_array([[0, 0]], "Z2")
     with pytest.raises(ArgumentError, match="flat position"):
         graph.to_array(np.zeros(2))
+
+
+@each
+def test_a_field_becomes_an_array_of_the_shape_of_the_graph(case: Case) -> None:
+    blocked = np.zeros((4,) * case.dim, bool)
+    blocked[2] = True
+    graph = LatticeGraph.from_array(blocked, case.lattice)
+    field = dijkstra(graph, [0] * case.dim)
+    array = field.to_array()
+    assert array.shape == blocked.shape
+    cells = np.argwhere(np.ones_like(blocked))
+    np.testing.assert_array_equal(array[tuple(cells.T)], field.distance_to(cells + graph.first))
+    assert np.isinf(array[2]).all()
+    assert repr(field).startswith("<DistanceField from 1 source to ") and len(repr(field)) < 300

@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -14,6 +15,8 @@ import pytest
 
 from hexmap.base.errors import AlignmentError, ArgumentError, LogError
 from hexmap.cli import main
+from hexmap.cli.localisation_experiment import command
+from hexmap.experiments.statistics import Interval
 from hexmap.io.logs.open_log import open_log
 from hexmap.io.trajectories import read_tum
 from hexmap.lattice.lattice import Lattice
@@ -35,6 +38,7 @@ from localisation.experiments.baselines.particle_filter import (
 )
 from localisation.experiments.comparison import (
     MEASURES,
+    Comparison,
     compare,
     local_measures,
     permutation_test,
@@ -45,6 +49,7 @@ from localisation.experiments.maps import change_walls
 from localisation.experiments.reading import read_world
 from localisation.experiments.run import ExperimentOutcome, localisation_experiment
 from localisation.experiments.settings import ExperimentSettings
+from localisation.experiments.verdicts import verdict
 from localisation.experiments.world import NEAR, World
 from tests.lattices import JIT, PLANAR, Case
 
@@ -446,6 +451,28 @@ def test_the_command_writes_a_report_and_says_where_the_rows_are(
     assert "cpu" not in pq.read_table(tmp_path / "one" / "rows.parquet").column_names
     assert "cpu" in pq.read_table(tmp_path / "one" / "times" / "rows.parquet").column_names
     assert "own 1" in (tmp_path / "one" / "report.md").read_text()
+
+
+def test_the_command_of_the_report_is_the_one_that_was_typed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["hexmap", "experiment", "localisation", "a.clf", "-o", "reploc", "--workers", "2"])
+    assert command() == "hexmap experiment localisation a.clf -o reploc"
+
+
+@pytest.mark.parametrize(
+    ("standings", "outcome"),
+    [
+        (("tie", "tie"), "undecided"), (("win", "lose"), "undecided"), (("win", "win"), "holds"),
+        (("win", "tie"), "holds in part"), (("lose", "tie"), "does not hold"),
+    ],
+)  # fmt: skip
+def test_a_claim_that_the_data_do_not_decide_is_undecided(standings: tuple[Any, ...], outcome: str) -> None:
+    measure = next(m for m in MEASURES if m.key == "nodes")
+    interval = Interval(1.0, 0.9, 1.1)
+    about = [
+        Comparison(measure, 0.1 * (k + 1), "cell", "A2", "Z2", 1.0, 1.0, interval, 9, standing)
+        for k, standing in enumerate(standings)
+    ]
+    assert verdict("A2 searches fewer nodes", about).outcome == outcome
 
 
 @pytest.mark.data

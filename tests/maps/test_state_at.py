@@ -54,7 +54,8 @@ def test_rules_and_wrong_points(case: Case) -> None:
     assert made.state_at(wall) == CellState.OCCUPIED  # the rule of the last question is not kept
     with pytest.raises(BoundsError, match="point 1 is not finite"):
         made.state_at([[0.0] * case.dim, [np.nan] * case.dim])
-    for wrong in ([0.0] * case.dim, np.zeros((1, 4)), [["a"] * case.dim]):
+    assert made.state_at(wall[0]) is CellState.OCCUPIED and made.state_at(wall[0].tolist()) is CellState.OCCUPIED
+    for wrong in ([0.0] * (case.dim + 1), np.zeros((1, 4)), [["a"] * case.dim]):
         with pytest.raises(ArgumentError, match="points in this map"):
             made.state_at(wrong)
     with pytest.raises(ArgumentError, match="levels 0 to 1"):

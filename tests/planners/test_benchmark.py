@@ -211,6 +211,10 @@ def test_the_report_begins_with_the_baseline_check(tmp_path: Path) -> None:
         matrix = list(csv.DictReader(file))
     assert matrix[0]["first against second"] == "A2-6 against Z2-4" and matrix[0]["length, edge 1/2"] == "win"
     assert {v for row in matrix for k, v in row.items() if k != "first against second"} <= {"win", "even", "lose"}
+    # Twelve queries have an interval, the three of a bin have none.
+    assert "mean_low" in (tmp_path / "report" / "length_2d_2.csv").read_text()
+    assert "_low" not in (tmp_path / "report" / "distance_2d_2.csv").read_text()
+    assert "without intervals: each is of fewer than 8 queries" in text
 
 
 def test_every_answer_is_in_one_file_and_no_cell_is_a_date(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from enum import StrEnum
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
+
+from hexmap.cli.usage import Command
 
 Position = tuple[float, ...]
 # Such as nan are matched too: they are rejected as positions, and not taken for the name of a file.
@@ -34,7 +35,7 @@ class Unknown(StrEnum):
     free = "free"
 
 
-class PlanCommand(TyperCommand):
+class PlanCommand(Command):
     """A command whose --from and --to take all numbers that follow, negative ones too."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -17,9 +17,10 @@ from hexmap.base.errors import ArgumentError
 from hexmap.base.values import one_line
 from hexmap.base.version import __version__
 
-Outcome = Literal["holds", "holds in part", "does not hold"]
+# Undecided where the data speak neither for the claim nor against it.
+Outcome = Literal["holds", "holds in part", "undecided", "does not hold"]
 
-MARKS: dict[str, str] = {"holds": "✓", "holds in part": "◐", "does not hold": "✗"}
+MARKS: dict[str, str] = {"holds": "✓", "holds in part": "◐", "undecided": "=", "does not hold": "✗"}
 
 Standing = Literal["win", "tie", "lose"]
 
@@ -146,7 +147,8 @@ class Verdicts:
     def summary(self) -> str:
         """Return how many of which outcome."""
         counts = [(outcome, sum(row.outcome == outcome for row in self.rows)) for outcome in get_args(Outcome)]
-        words = {"holds": "hold", "holds in part": "hold in part", "does not hold": "do not hold"}
+        words = {"holds": "hold", "holds in part": "hold in part", "undecided": "undecided"}
+        words["does not hold"] = "do not hold"
         return ", ".join(f"{count} {outcome if count == 1 else words[outcome]}" for outcome, count in counts if count)
 
 
