@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.values import one_line
 from hexmap.graph.moves import lengths_of, swept_by_moves
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.keys import pack, unpack
@@ -61,6 +62,8 @@ class PageLevel:
     hits: NDArray[np.int64] | None = None
     passes: NDArray[np.int64] | None = None
     states: NDArray[np.uint8] | None = None
+
+    __repr__ = one_line
 
     def states_by(self, rule: StateRule) -> NDArray[np.uint8]:
         """Return the state (M,) of each cell."""

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import planners
 from hexmap.graph.lattice_graph import LatticeGraph
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.keys import pack
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.cell_state import CellState
+from hexmap.maps.map import Map
+from hexmap.maps.voxel_list import VoxelList
 from hexmap.web.frame import page_frame
 from hexmap.web.page import write_page
 from tests.lattices import SKEW2, SPATIAL
@@ -55,6 +59,14 @@ def look(page: Any, x: float, y: float, scale: float) -> None:
     page.evaluate("([x, y, s]) => { view.x = x; view.y = y; view.scale = s; }", [x, y, scale])
 
 
+def resampled(world: Map, lattice: Lattice, cells: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Return states of cells: what the map has at their centres, walls where centres of walls fall in."""
+    states = world.state()
+    walls = VoxelList.from_points(states.occupied.centres(), lattice)
+    found = states.of(states.occupied.lattice.quantise(lattice.centres(cells)))
+    return np.where(walls.contains(cells), np.uint8(CellState.OCCUPIED.value), found)
+
+
 @pytest.mark.parametrize(("first", "second"), PAIRS, ids=["A2 and Z2", "skewed and sheared"])
 def test_every_pixel_shows_its_cell(first: Lattice, second: Lattice, tmp_path: Path, opened: Open) -> None:
     world = rooms(first, 1)
@@ -67,8 +79,7 @@ def test_every_pixel_shows_its_cell(first: Lattice, second: Lattice, tmp_path: P
         i, j = np.mgrid[0:h, 0:w]
         points = np.stack([4.013 + (j + 0.5 - w / 2) / scale, 3.007 + (i + 0.5 - h / 2) / scale], axis=-1)
         cells = lattice.quantise(points.reshape(-1, 2))
-        # On the second lattice a cell is what the map has at its centre.
-        want = world.state().of(first.quantise(lattice.centres(cells))).reshape(h, w)
+        want = resampled(world, lattice, cells).reshape(h, w)
         assert set(np.unique(want)) >= {1, 2}
         wrong = shown != want
         # On a border a pixel's centre may fall either way, in single precision.
@@ -91,7 +102,7 @@ def test_every_pixel_of_a_slice_shows_the_cell_in_space(second: Lattice, tmp_pat
         i, j = np.mgrid[0:h, 0:w]
         points = np.stack([0.613 + (j + 0.5 - w / 2) / scale, -0.207 + (i + 0.5 - h / 2) / scale, z + 0.0 * i], axis=-1)
         cells = lattice.quantise(points.reshape(-1, 3))
-        want = world.state().of(first.quantise(lattice.centres(cells))).reshape(h, w)
+        want = resampled(world, lattice, cells).reshape(h, w)
         shown = np.array(states).reshape(h, w)
         # A plane at the height of centres may run along faces, and there are outlines at this scale.
         told = shown != 3
