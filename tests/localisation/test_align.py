@@ -70,7 +70,7 @@ def test_halves_of_a_drive_are_put_together(name: str) -> None:
 @pytest.mark.long
 def test_another_building_is_refused() -> None:
     with pytest.raises(AlignmentError, match=r"contradicted: at best \d+\.\d% .* are free there; 25\.0% are allowed"):
-        align_maps(half("office", "A2", 0)[0], half("castle", "A2", 0)[0])
+        align_maps(half("office", "A2", 0)[0], half("room", "A2", 0)[0])
 
 
 def of_walls(*segments: tuple[float, float, float, float], sensors: list[tuple[float, float]]) -> Map:

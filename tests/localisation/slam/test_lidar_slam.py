@@ -314,7 +314,7 @@ def test_floors_above_floors_are_kept_apart() -> None:
     from hexmap.simulator.space import make_building_3d
 
     building = make_building_3d("warehouse3d", seed=4, floors=2)
-    log = SimulatedLidarLog(building, lidar=RingLidar(rings=24, azimuths=512))
+    log = SimulatedLidarLog(building, lidar=RingLidar(rings=16, azimuths=360))
     result = slam_of(log, True)
     assert errors(log, result).max() < 0.3
     for record in result.records:
