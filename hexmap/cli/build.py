@@ -199,7 +199,7 @@ def build(
     given = read_trajectory(poses) if poses is not None else None
     if given is not None and not given.planar:
         raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
-    first_run_note()
+    first_run_note(45)
     result = build_and_report(
         sources, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure, old, checkpoint
     )

@@ -83,7 +83,7 @@ def build_lidar(
     given = None if poses is None else read_trajectory(poses)
     if given is None:
         import_kiss_icp()
-    first_run_note()
+    first_run_note(45)
     places: list[list[float]] = []
     with ExitStack() as stack:
         writer = None if outputs.trajectory is None else stack.enter_context(TumWriter(outputs.trajectory))

@@ -33,7 +33,7 @@ def demo_in_space(output: Path, settings: LidarSettings, seed: int) -> None:
 
     run, truth = output / "warehouse", output / "warehouse.truth.tum"
     building, share = make_building_3d("warehouse3d", seed), 0.0
-    first_run_note()
+    first_run_note(45)
     with progress_line("simulating", lambda: share) as update:
 
         def on_scan(count: int, total: int) -> None:

@@ -75,7 +75,7 @@ def build_fleet_maps(
     from hexmap.experiments.cluster import cluster_executor
     from localisation.mapping.fleet import build_fleet
 
-    first_run_note()
+    first_run_note(45)
     fraction = [0.0]
     with cluster_executor(cluster) as executor, progress_line("building", lambda: fraction[0], "logs") as update:
 

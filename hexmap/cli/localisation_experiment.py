@@ -97,7 +97,7 @@ def localisation(
     source, other = _opened(log), None if test is None else _opened(test)
     reference, other_reference = (None if path is None else read_trajectory(path) for path in (poses, test_poses))
     say_if_resumed(output)
-    first_run_note()
+    first_run_note(45)
     fraction = [0.0]
     with (
         cluster_executor(cluster) as executor,

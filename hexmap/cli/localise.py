@@ -114,7 +114,7 @@ def localise(
         raise typer.BadParameter(str(error)) from error
     source = open_log(log, reading)
     states = _states(map, level, lattice, resolution, min_hits, min_ratio, crop)
-    first_run_note()
+    first_run_note(45)
     placing = {"mount": _pose(mount), "start": _pose(start)}
     _localise(source, map, states, settings, placing, output, csv, picture)
 

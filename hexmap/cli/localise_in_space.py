@@ -47,7 +47,7 @@ def localise_in_space(
 
     settings = lidar_settings({}, options)
     source = open_lidar(log, settings.log)
-    first_run_note()
+    first_run_note(45)
     begin = time.monotonic()
     stamps: list[float] = []
     poses: list[Any] = []

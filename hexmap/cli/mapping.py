@@ -263,7 +263,7 @@ def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
     # Before the search, which takes seconds.
     if a.lattice != b.lattice:
         raise LatticeError(f"the maps are on different lattices: {a.lattice!r} and {b.lattice!r}")
-    first_run_note()
+    first_run_note(45)
     align = align_maps if a.lattice.dim == 2 else align_maps_in_space
     found = align(a, b, rules=(rule_of(None, None, a.sources()), rule_of(None, None, b.sources())))
     what = f"{pose_words(found.pose)}, {found.overlap:.0%} overlap, {found.contradicted:.0%} contradicted"
