@@ -263,7 +263,7 @@ def _merge_aligned(a: Map, b: Map) -> tuple[Map, str]:
     # Before the search, which takes seconds.
     if a.lattice != b.lattice:
         raise LatticeError(f"the maps are on different lattices: {a.lattice!r} and {b.lattice!r}")
-    first_run_note(45)
+    first_run_note()
     align = align_maps if a.lattice.dim == 2 else align_maps_in_space
     found = align(a, b, rules=(rule_of(None, None, a.sources()), rule_of(None, None, b.sources())))
     what = f"{pose_words(found.pose)}, {found.overlap:.0%} overlap, {found.contradicted:.0%} contradicted"
@@ -309,7 +309,7 @@ def demo(
     say(f"simulated {summary.metres:.0f} m through an office in {summary.seconds:.0f} s: {summary.scans} scans")
     wrote(log, "CARMEN log")
     wrote(truth, "true poses")
-    first_run_note()
+    first_run_note(45)
     path, poses, picture = output / "office.parquet", output / "office.tum", output / "office.png"
     build_and_report([open_log(log)], settings, path, poses, Readings.all, picture, None, None)
     detail, coarse = output / "office-detail.png", output / "office-coarse.png"
