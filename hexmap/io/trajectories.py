@@ -16,7 +16,7 @@ from hexmap.base.arrays import FloatArray
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import ArgumentError, FileAccessError, TrajectoryError
 from hexmap.base.text import shown
-from hexmap.io.file_kinds import BOM
+from hexmap.io.file_kinds import BOM, find_kind
 from hexmap.io.read_file import cannot_read, check_regular
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import euler_to_quaternions, quaternions_to_rotations
@@ -83,9 +83,12 @@ def trajectory_kind(path: str | os.PathLike[str]) -> Literal["TUM", "KITTI", "Eu
 
     Raises:
         FileAccessError: the file cannot be opened.
-        TrajectoryError: there are no poses in it.
+        TrajectoryError: there are no poses in it, or it is a file of another kind.
     """
     first = _first_line(path)
+    foreign = find_kind(first)
+    if foreign is not None:
+        raise TrajectoryError(f"{path}: this is {foreign.name}, not a trajectory")
     if b"," in first:
         return "EuRoC"
     return "KITTI" if len(first.split()) == len(_KITTI) else "TUM"

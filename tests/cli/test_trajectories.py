@@ -190,3 +190,10 @@ def test_what_convert_refuses(folder: Path, tmp_path: Path, capsys: pytest.Captu
         assert call("convert", *arguments) == code
         assert word in capsys.readouterr().err
     assert not (tmp_path / "p.tum").exists()
+
+
+def test_a_file_of_another_kind_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "m.parquet").write_bytes(b"PAR1\x15\x04")
+    assert main(["convert", str(tmp_path / "m.parquet"), "-o", str(tmp_path / "x.tum")]) == 1
+    assert capsys.readouterr().err.endswith("m.parquet: this is a Parquet file, not a trajectory\n")
+    assert not (tmp_path / "x.tum").exists()
