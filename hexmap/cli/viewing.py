@@ -104,9 +104,7 @@ def _map_info(map: Path, config: bool) -> None:
             f"{k:5d}  {level.lattice.resolution:8.4g} m {len(level.hits):12,d} {level.hits.total:10,d} "
             f"{len(level.passes):13,d} {len(states.occupied):13,d} {len(states.free):13,d}"
         )
-    corners = loaded.bounds()
-    if corners is not None:
-        say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
+    _say_extent(loaded.bounds())
     _say_sources(sources)
 
 
@@ -128,10 +126,14 @@ def _folder_info(path: Path) -> None:
             f"{k:5d}  {lattice.resolution * 2**k:8.4g} m {total['hit_cells']:12,d} {total['hits']:10,d} "
             f"{total['passed_cells']:13,d}"
         )
-    corners = folder.bounds()
+    _say_extent(folder.bounds())
+    _say_sources(folder.sources())
+
+
+def _say_extent(corners: tuple[Any, Any] | None) -> None:
+    """Say where the cells lie, low and high corner by axis."""
     if corners is not None:
         say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(*corners, strict=True)))
-    _say_sources(folder.sources())
 
 
 def _say_sources(sources: list[dict[str, Any]]) -> None:
@@ -183,7 +185,7 @@ def _grid_info(path: Path) -> None:
     say(f"{path}: a map of others ({grid.kind}), {size} cells of {grid.cell:g} m, yaw {np.degrees(grid.yaw):g} degrees")
     counts = {state: np.count_nonzero(grid.states == state.value) for state in CellState}
     say(", ".join(f"{counts[s]:,d} {s.name.lower()}" for s in (CellState.OCCUPIED, CellState.FREE, CellState.UNKNOWN)))
-    say("extent " + "  ".join(f"{a:.2f} to {b:.2f} m" for a, b in zip(grid.low, grid.high, strict=True)))
+    _say_extent((grid.low, grid.high))
 
 
 def _log_info(path: Path) -> None:
