@@ -29,6 +29,7 @@ from hexmap.experiments.payload import compute_from_payload
 # Workers share the machine among themselves; threads below them would only get in each other's way.
 _THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _STOP_SECONDS = 1.0
+_NO_GUARD = 'a script needs `if __name__ == "__main__":` around its run'
 _NOTE_BYTES = 1024  # of the line that an error quotes of a case
 
 
@@ -40,9 +41,16 @@ class LocalWorkers(ProcessPoolExecutor):
     Args:
         count: how many.
         folder: where the payload is, and where each worker notes the case it is computing.
+
+    Raises:
+        CaseError: this process is itself a worker that is still importing the script it works for.
     """
 
     def __init__(self, count: int, folder: Path) -> None:
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            # Python refuses the same, but only after the pool has made its semaphores. This process is about to be
+            # ended by its parent, and what it leaks then would be the last line that the user reads.
+            raise CaseError(_NO_GUARD)
         context = _WorkerContext()
         self._workers = context.workers
         self._folder = folder
@@ -74,7 +82,7 @@ class LocalWorkers(ProcessPoolExecutor):
         how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
         text = self._case_of(dead[0])
         if text is None:
-            return f'a worker died before it began ({how}); a script needs `if __name__ == "__main__":` around its run'
+            return f"a worker died before it began ({how}); {_NO_GUARD}"
         case = f"case {text}: " if text else ""
         hint = "; if memory ran out, use fewer workers" if code == -9 else ""
         return f"{case}the worker died ({how}){hint}"
