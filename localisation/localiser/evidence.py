@@ -13,8 +13,13 @@ from dataclasses import dataclass
 
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.information import TEMPERATURE
+from localisation.matching.match import Match
 
-__all__ = ["Evidence", "fits", "least_overlap", "meets"]
+__all__ = ["LOUDEST", "Evidence", "fits", "least_overlap", "log_odds", "meets"]
+
+# One view in e^3 = 20 shows what the map knows nothing of, people or an open door: none speaks louder than that against
+# a place, so that several must before it is out (p_rand of Thrun, Burgard and Fox, "Probabilistic Robotics", 6.3).
+LOUDEST = 3.0
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,11 @@ class Evidence:
     def of(cls, points: int, overlap: float, contradicted: float) -> Evidence:
         """Return the evidence of a scan of ``points`` points."""
         return cls(min(float(points), 1.0 / TEMPERATURE), overlap, contradicted)
+
+    @classmethod
+    def of_match(cls, points: int, match: Match | None) -> Evidence:
+        """Return the evidence of a scan of ``points`` points and its match, None where nothing coincides."""
+        return cls.of(points, 0.0, 0.0) if match is None else cls.of(points, match.overlap, match.contradicted or 0.0)
 
 
 def least_overlap(beams: float, settings: LocaliserSettings) -> float:
@@ -62,3 +72,14 @@ def meets(scans: Iterable[Evidence], settings: LocaliserSettings) -> bool:
     scans = list(scans)
     n = sum(s.beams for s in scans)
     return n == 0.0 or sum(s.beams * s.overlap for s in scans) / n >= least_overlap(n, settings)
+
+
+def log_odds(share: float, best: float, points: int) -> float:
+    """Return what a scan of ``points`` points says of a place against the best one: a log-likelihood, zero or less.
+
+    The share of points that meet the map scatters by chance and with the cells they happen to fall into: what is within
+    one standard deviation of the ``best`` share tells nothing, or such chances would add up to certainty.
+    """
+    share_of_beam = max(TEMPERATURE, 1.0 / points)
+    chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
+    return max(-LOUDEST, min(0.0, share - best + chance) / share_of_beam)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,33 +21,34 @@ from hexmap.maps.state_rule import StateRule, States
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
-from localisation.localiser.evidence import Evidence, fits, meets
-from localisation.localiser.fusion import carry_on, fuse, move_point
-from localisation.localiser.place import LOUDEST, Place
+from localisation.localiser.evidence import LOUDEST, Evidence, fits, log_odds, meets
+from localisation.localiser.fusion import fuse, move_point
+from localisation.localiser.history import History, Step
+from localisation.localiser.place import Place
+from localisation.localiser.place_matcher import PlaceMatcher
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
-from localisation.matching.global_matcher import GlobalMatcher, thin
+from localisation.matching.global_matcher import GlobalMatcher
 from localisation.matching.hypotheses import find_hypotheses, is_same_place
-from localisation.matching.information import TEMPERATURE, score_covariance
 from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
-from localisation.matching.search_region import SearchRegion
 
 __all__ = ["Localiser"]
 
 # Metres that no robot drives between two scans: a damaged number or a reset of the odometry.
 _FARTHEST_JUMP = 100.0
-# Standard deviations from the prediction within which a scan is looked for at a place: 1 in 400 is outside by chance.
-_GATE = 3.0
 # How many times as wide the window is where the scan does not fit within it.
 _WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
 _HOPELESS = 10.0
-# A search that found too many places is repeated after up to 2^3 steps.
-_MOST_DOUBLINGS = 3
-# The same while nothing is found at all: a robot outside the map is looked for every 8 m.
-_MOST_DOUBLINGS_LOST = 5
+# A search that found too many places is repeated, and each wait is twice the last, up to 2^5 steps;
+# a robot outside the map is looked for every 8 m.
+_MOST_DOUBLINGS = 5
+# In a corridor there are always more places than are carried on. So many searches in a row, each in another view, that
+# list the best places and among them no rival, are taken for completeness: were the truth one of those not carried on,
+# which lists two times in three, and more often than not the first, it would have been missed by all of them.
+_IN_VAIN = 3
 # Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a
 # scan's points lie within their median range; two such discs share 39 % where their centres are one such range apart.
 _VIEW = 1.0
@@ -106,10 +108,13 @@ class Localiser:
         self.mount = mount or Pose.identity(self.dim)
         if self.mount.dim != self.dim or (start is not None and start.dim != self.dim):
             raise ArgumentError(f"the map is of dimension {self.dim}; mount and start must be too")
+        self._near = PlaceMatcher(self.matcher, self.settings)
+        self._history = History(self._near, self.settings)
         self.state = TrackState.lost
         self.times_lost = 0
         self._places: list[Place] = []
-        self._complete = True
+        # Whether the last search found all places; as many as it may; how many in a row did, and none was a rival.
+        self._complete, self._full, self._in_vain = True, False, 0
         self._covariance: FloatArray = np.eye(0)
         self._recent: deque[tuple[Evidence, bool]] = deque(maxlen=self.settings.patience)
         self._T_odom_sensor: Pose | None = None
@@ -120,8 +125,8 @@ class Localiser:
         self._fruitless = 0
         if start is not None:
             sensor = start @ self.mount
-            self._places = [Place.at(sensor, self._start_covariance(), tracked=True)]
-            self._track_from(self._start_covariance())
+            self._places = [Place.at(sensor, self._near.window_covariance(), tracked=True)]
+            self._track_from(self._near.window_covariance())
 
     def add(self, event: Event) -> Estimate | None:
         """Take the next event of the log; return what is known after a scan, None after an odometry reading.
@@ -170,47 +175,6 @@ class Localiser:
         motion = before.inverse() @ self._T_odom_sensor
         return motion if float(np.linalg.norm(motion.translation)) <= _FARTHEST_JUMP else None
 
-    def _carry_on(
-        self, at: tuple[Pose, FloatArray], motion: Pose, driven: tuple[float, float], *, measured: bool
-    ) -> tuple[Pose, FloatArray]:
-        """Return pose and covariance after a motion, ``measured`` by odometry, along a path of metres and radians."""
-        s = self.settings
-        way, turn = driven
-        metres, radians = s.drift_metres + s.drift * way, s.drift_radians + s.drift * (turn + 0.2 * way)
-        if not measured:
-            metres, radians = max(metres, 0.25 * s.search_metres), max(radians, 0.25 * s.search_radians)
-        return carry_on(*at, motion, metres, radians)
-
-    # ------------------------------------------------------------------ matching
-
-    def _match_near(self, points: FloatArray, predicted: Pose, widened: float = 1.0) -> Match | None:
-        """Return the best pose of the window around ``predicted`` (T_map_sensor), or of one so many times as wide."""
-        s = self.settings
-        metres, radians = s.search_metres * widened, min(s.search_radians * widened, math.pi)
-        region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
-        return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
-
-    def _match_within(self, points: FloatArray, predicted: Pose, P: FloatArray) -> Match | None:
-        """Return the best pose within what a prediction leaves open, at the most within the window.
-
-        A place is a place of the robot's path. In a window that is wider than the odometry errs, a pose slides along a
-        corridor from scan to scan to wherever the map is met best: the true one away from the truth, and a wrong one
-        to where it is not told from the truth.
-        """
-        s = self.settings
-        n, cell = self.dim, self.matcher.lattice.resolution
-        sigmas = np.sqrt(np.diag(P))
-        metres = np.clip(_GATE * sigmas[:n], cell, max(cell, s.search_metres))
-        radians = min(_GATE * float(sigmas[n:].max()), s.search_radians)
-        region = SearchRegion(predicted.translation - metres, predicted.translation + metres, predicted.theta, radians)
-        return self.matcher.match(points, region, runner_up=None, information=False, time_limit=s.time_limit)
-
-    def _match_covariance(self, points: FloatArray, match: Match) -> FloatArray:
-        """Return the covariance of a match; of a few points each counts as independent."""
-        kept, weights = thin(points, self.matcher.lattice)
-        temperature = max(TEMPERATURE, 1.0 / len(points))
-        return score_covariance(self.matcher.pyramid, kept, weights, match.searched, temperature=temperature)
-
     # ------------------------------------------------------------------ lost
 
     def _search(self, points: FloatArray) -> None:
@@ -222,8 +186,9 @@ class Localiser:
         if len(points) == 0 or (self._waited < waits * s.step_metres and self._turned < waits * s.step_radians):
             return
         self._waited = self._turned = 0.0
-        self._places = self._newcomers(points, 0.0)
-        self._fruitless = 0 if self._places else min(self._fruitless + 1, _MOST_DOUBLINGS_LOST)
+        self._places = self._newcomers(points)
+        self._remember_first(points)
+        self._fruitless = 0 if self._places else min(self._fruitless + 1, _MOST_DOUBLINGS)
         self._settle_on(points)
 
     def _doubt(self, place: Place, points: FloatArray) -> None:
@@ -232,44 +197,54 @@ class Localiser:
         Doors open and walls move, and the true place, thrown away for that, would leave a wrong one without a rival.
         """
         place.judged = [evidence for evidence, _ in self._recent]
-        self._places = self._newcomers(points, 0.0)
+        self._places = self._newcomers(points)
         if meets(self._last_of(place), self.settings):
             apart = self.settings.apart
             place.settled = place.latest = 0.0
-            place.view = (0.0, 0.0)
+            place.view = (0.0, 0, 0.0)
             place.covariance = self._covariance
+            place.track.clear()
             place.begin_anew()
             self._places = [p for p in self._places if not is_same_place(p.pose, place.pose, apart)] + [place]
+        self._remember_first(points)
         self._waited = self._turned = 0.0
         self._settle_on(points)
+
+    def _remember_first(self, points: FloatArray) -> None:
+        """Begin the history of a robot that may have been put elsewhere."""
+        self._in_vain = 0
+        self._history.clear()
+        still = Step(Pose.identity(self.dim), (0.0, 0.0), True)
+        self._history.add(points, still, _best_share(self._places), _view_metres(points), 0.0)
 
     # ------------------------------------------------------------------ ambiguous
 
     def _compare(self, points: FloatArray, motion: Pose | None) -> None:
         """Carry all places on and match the scan at each; drop those that fall behind."""
-        if len(points) == 0:
-            for place in self._places:
-                step = motion or place.motion
-                place.move(step)
-                place.pose = place.pose @ step
-            return
         s = self.settings
-        view_metres = _VIEW * float(np.median(np.sqrt((points**2).sum(axis=1))))
-        kept: list[Place] = []
-        moved = False
         for place in self._places:
             place.move(motion or place.motion)
-            fresh = float(np.linalg.norm(place.way.translation)) > s.step_metres or place.way.angle > s.step_radians
-            if fresh:
+        # All places have the same anchors: those of the last scan that was new evidence.
+        fresh = any(p.way.angle > s.step_radians or p.metres_on > s.step_metres for p in self._places)
+        if len(points) == 0 or (motion is not None and not fresh):
+            self._wait(points, measured=motion is not None)
+            return
+        view_metres = _view_metres(points)
+        if fresh:
+            for place in self._places:
                 place.settle(view_metres)
-                moved = True
+        best = self._places[0]
+        step = Step(best.way, best.driven, motion is not None)
+        credit = max(place.settled + place.view[0] / max(1, place.view[1]) for place in self._places)
+        kept: list[Place] = []
+        for place in self._places:
             before = place.pose
-            place.pose, place.covariance = self._carry_on(
+            place.pose, place.covariance = self._near.carry_on(
                 place.anchor, place.way, place.driven, measured=motion is not None
             )
-            match = self._match_within(points, place.pose, place.covariance)
+            match = self._near.match_within(points, place.pose, place.covariance)
             if match is not None:
-                M = self._match_covariance(points, match)
+                M = self._near.covariance(points, match)
                 place.pose, place.covariance = fuse(place.pose, place.covariance, match.pose, M)
             self._judge(place, points, match, fresh)
             if fresh:
@@ -279,19 +254,37 @@ class Localiser:
             kept.append(place)
         if not any(place.fits for place in kept):
             kept = []
-        waiting = self.settings.step_metres * 2.0**self._fruitless
-        if kept and moved and self._waited >= waiting and not (self._complete and any(map(self._agrees, kept))):
-            # There were more places than are carried on, or none agrees: those that fit this scan get their chance.
-            # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last.
+        waiting = min(s.step_metres * 2.0**self._fruitless, max(s.step_metres, view_metres))
+        if kept and fresh and self._waited >= waiting and not (self._all_known and any(map(self._agrees, kept))):
+            # There were more places than are carried on, or none agrees: those that fit what was seen get their chance.
+            # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last,
+            # until the robot sees something else.
             self._waited = 0.0
-            found = self._newcomers(points, max(place.settled + place.view[0] for place in kept))
+            found = self._newcomers(points, self._history.gather(points, self._places[0].track))
             self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
-            kept += [new for new in found if not any(is_same_place(new.pose, old.pose, s.apart) for old in kept)]
+            new = [p for p in found if not any(is_same_place(p.pose, old.pose, s.apart) for old in kept)]
+            new = [p for p in new if self._history.judge(p, step, credit - _HOPELESS)]
+            rivals = [p for p in new if p.settled > credit - math.log(s.odds)]
+            self._in_vain = 0 if rivals or not self._full else self._in_vain + 1
+            kept += new
+        if fresh:
+            self._history.add(points, step, _best_share(kept), view_metres, credit)
         self._places = kept
         self._settle_on(points)
 
-    def _newcomers(self, points: FloatArray, settled: float) -> list[Place]:
-        """Search the whole map, and return the places found; nothing yet speaks against them."""
+    def _wait(self, points: FloatArray, *, measured: bool) -> None:
+        """Carry all places on by odometry alone, and match a scan that is no new evidence at the best one only.
+
+        Matches between two anchors leave no trace in what is known later, at many places cost many times a search, and
+        give a wrong place as many more chances to look right for a moment.
+        """
+        for place in self._places:
+            place.pose, place.covariance = self._near.carry_on(place.anchor, place.way, place.driven, measured=measured)
+        best = self._places[0]
+        best.match = self._near.match_within(points, best.pose, best.covariance) if len(points) else None
+
+    def _newcomers(self, points: FloatArray, gathered: FloatArray | None = None) -> list[Place]:
+        """Search the whole map for a scan, or for what was ``gathered`` on the way to it; return the places found."""
         s = self.settings
         beams = Evidence.of(len(points), 0.0, 0.0).beams
 
@@ -301,17 +294,18 @@ class Localiser:
 
         # Scans below the usual share are not worth the search, which is long where nothing fits: the next will do.
         found = find_hypotheses(
-            self.matcher, points, s.hypotheses, least=s.explained, part=s.part, apart=s.apart,
-            accept=accept, time_limit=s.time_limit, node_limit=s.node_limit,
+            self.matcher, points if gathered is None else gathered, s.hypotheses, least=s.explained, part=s.part,
+            apart=s.apart, accept=accept, time_limit=s.time_limit, node_limit=s.node_limit,
         )  # fmt: skip
         # Where all that score best contradict the map, none is a rival of what is carried on.
         self._complete = found.complete or not found.candidates
+        self._full = len(found.candidates) >= s.hypotheses
         places = []
         for candidate in found.candidates:
-            match = self._match_near(points, candidate.pose)
+            match = self._near.match_near(points, candidate.pose)
             if match is None:
                 continue
-            place = Place.at(match.pose, self._match_covariance(points, match), settled=settled)
+            place = Place.at(match.pose, self._near.covariance(points, match))
             self._judge(place, points, match, True)
             if self._agrees(place):
                 places.append(place)
@@ -325,7 +319,12 @@ class Localiser:
         place.match = match
         if not fresh and place.judged:
             place.judged.pop()
-        place.judged.append(_evidence(points, match))
+        place.judged.append(Evidence.of_match(len(points), match))
+
+    @property
+    def _all_known(self) -> bool:
+        """Whether no place is left that could be a rival: all were found, or the best of all are none."""
+        return self._complete or self._in_vain >= _IN_VAIN
 
     def _last_of(self, place: Place) -> list[Evidence]:
         return place.judged[-self.settings.patience :]
@@ -337,17 +336,12 @@ class Localiser:
     def _weigh(self, points: FloatArray) -> None:
         """Compare the places by the last scan.
 
-        The share of points that meet the map scatters by chance and with the cells they happen to fall into: what is
-        within one standard deviation of the best tells nothing, or such chances would add up to certainty. Beams beyond
-        walls rule places out, and do not weigh: at the true place too they are as many as doors have been opened.
+        Beams beyond walls rule places out, and do not weigh: at the true place too they are as many as doors have been
+        opened.
         """
-        shares = [0.0 if place.match is None else place.match.fraction for place in self._places]
-        best = max(shares, default=0.0)
-        share_of_beam = max(TEMPERATURE, 1.0 / len(points))
-        chance = math.sqrt(max(best * (1.0 - best), share_of_beam) * share_of_beam)
-        for place, share in zip(self._places, shares, strict=True):
-            said = min(0.0, share - best + chance) / share_of_beam if place.fits else -LOUDEST
-            place.latest = max(-LOUDEST, said)
+        best = _best_share(self._places)
+        for place in self._places:
+            place.latest = log_odds(_share(place), best, len(points)) if place.fits else -LOUDEST
 
     def _settle_on(self, points: FloatArray) -> None:
         """Drop places that are hopeless or the same as a better one, and track the best one if it stands out."""
@@ -372,7 +366,7 @@ class Localiser:
         best = kept[0]
         alone = len(kept) == 1 or best.likelihood - kept[1].likelihood >= math.log(s.odds)
         known = best.tracked or len(best.judged) >= s.scans
-        if alone and known and self._complete and best.match is not None and self._agrees(best):
+        if alone and known and self._all_known and best.match is not None and self._agrees(best):
             best.tracked = True
             self._places = [best]
             self._track_from(best.covariance)
@@ -384,13 +378,6 @@ class Localiser:
         self._covariance = covariance
         self._recent.clear()
 
-    def _start_covariance(self) -> FloatArray:
-        """Return the covariance of a pose that may be anywhere in the window."""
-        n, size = self.dim, 3 if self.dim == 2 else 6
-        sigmas = np.full(size, 0.5 * self.settings.search_radians)
-        sigmas[:n] = 0.5 * self.settings.search_metres
-        return np.diag(sigmas**2)
-
     def _track(self, points: FloatArray, motion: Pose | None) -> None:
         """Predict, match, fuse; where the scans of some time do not fit, the robot is lost."""
         s = self.settings
@@ -398,20 +385,20 @@ class Localiser:
         before = place.pose
         step = motion or place.motion
         driven = float(np.linalg.norm(step.translation)), step.angle
-        predicted, P = self._carry_on((place.pose, self._covariance), step, driven, measured=motion is not None)
+        predicted, P = self._near.carry_on((place.pose, self._covariance), step, driven, measured=motion is not None)
         place.pose, self._covariance, place.match = predicted, P, None
         if len(points) == 0:
             return
-        match = self._match_near(points, predicted)
-        evidence = _evidence(points, match)
+        match = self._near.match_near(points, predicted)
+        evidence = Evidence.of_match(len(points), match)
         agrees = fits([evidence], s, tracked=True)
         if not agrees:
             # Wheels that slip put the true pose outside any window that is fast for every scan; what is found in a
             # wide one must fit as well as a place that is searched for in the whole map.
-            wide = self._match_near(points, predicted, _WIDENED)
-            if wide is not None and wide.fraction >= s.explained and fits([_evidence(points, wide)], s):
-                match, evidence, agrees = wide, _evidence(points, wide), True
-                P = P + self._start_covariance() * _WIDENED**2
+            wide = self._near.match_near(points, predicted, _WIDENED)
+            if wide is not None and wide.fraction >= s.explained and fits([Evidence.of_match(len(points), wide)], s):
+                match, evidence, agrees = wide, Evidence.of_match(len(points), wide), True
+                P = P + self._near.window_covariance() * _WIDENED**2
         self._recent.append((evidence, agrees))
         place.match = match
         # One scan that disagrees is left out, and says little beside those before it; many that half agree add up.
@@ -421,14 +408,14 @@ class Localiser:
             self._doubt(place, points)
             return
         if match is not None and agrees:
-            place.pose, self._covariance = fuse(predicted, P, match.pose, self._match_covariance(points, match))
+            place.pose, self._covariance = fuse(predicted, P, match.pose, self._near.covariance(points, match))
         place.motion = before.inverse() @ place.pose
 
     # ------------------------------------------------------------------ answers
 
     def _estimate(self, scan: Scan) -> Estimate:
         if not self._places:
-            return Estimate(scan.stamp, scan.line, self.state, complete=self._complete)
+            return Estimate(scan.stamp, scan.line, self.state, complete=self._all_known)
         best = self._places[0]
         sensor_to_robot = self.mount.inverse()
         heat = np.exp([place.likelihood - best.likelihood for place in self._places])
@@ -449,11 +436,19 @@ class Localiser:
             total=match.total if match else 0,
             overlap=match.overlap if match else 0.0,
             contradicted=(match.contradicted or 0.0) if match else 0.0,
-            complete=self._complete,
+            complete=self._all_known,
         )
 
 
-def _evidence(points: FloatArray, match: Match | None) -> Evidence:
-    if match is None:
-        return Evidence.of(len(points), 0.0, 0.0)
-    return Evidence.of(len(points), match.overlap, match.contradicted or 0.0)
+def _view_metres(points: FloatArray) -> float:
+    """Return how far the robot drives until it sees something else."""
+    return _VIEW * float(np.median(np.sqrt((points**2).sum(axis=1)))) if len(points) else 0.0
+
+
+def _share(place: Place) -> float:
+    """Return the share of the last scan's points that meet the map at a place."""
+    return 0.0 if place.match is None else place.match.fraction
+
+
+def _best_share(places: Sequence[Place]) -> float:
+    return max((_share(place) for place in places), default=0.0)

@@ -12,11 +12,7 @@ from hexmap.poses.pose import Pose
 from localisation.localiser.evidence import Evidence
 from localisation.matching.match import Match
 
-__all__ = ["LOUDEST", "Place"]
-
-# One view in e^3 = 20 shows what the map knows nothing of, people or an open door: none speaks louder than that against
-# a place, so that several must before it is out (p_rand of Thrun, Burgard and Fox, "Probabilistic Robotics", 6.3).
-LOUDEST = 3.0
+__all__ = ["Place"]
 
 
 @dataclass(eq=False)
@@ -29,7 +25,8 @@ class Place:
         anchor: pose and covariance at the last scan that was new evidence: what odometry is counted from.
         motion: of the sensor between the last two scans.
         settled: log-likelihood of the views that are over, relative to other places.
-        view: of the scans of this view that were new evidence, and the metres driven since it began.
+        view: of this view, the sum of what its scans said that were new evidence, their number, and the metres driven
+            since it began.
         latest: of the last scan, which the next one replaces if the robot has not moved.
         way: motion of the sensor since the anchor by odometry: matches jump about in a corridor.
         driven: metres and radians of the path since the anchor.
@@ -37,6 +34,7 @@ class Place:
         match: of the last scan, if anything coincided.
         fits: whether the last scans agree with the map here. Where they do not it competes on for a while: the map may
             be wrong about the true place, and what is left when that is dropped is not the truth for being alone.
+        track: of the sensor, T_map_sensor at each scan that was new evidence.
         tracked: whether it was answered before; then beams through walls alone do not rule it out, but to be
             answered again it must fit as well as any other.
     """
@@ -48,11 +46,12 @@ class Place:
     motion: Pose
     driven: tuple[float, float] = (0.0, 0.0)
     settled: float = 0.0
-    view: tuple[float, float] = (0.0, 0.0)
+    view: tuple[float, int, float] = (0.0, 0, 0.0)
     latest: float = 0.0
     judged: list[Evidence] = field(default_factory=list)
     match: Match | None = None
     fits: bool = True
+    track: list[Pose] = field(default_factory=list)
     tracked: bool = False
 
     __repr__ = one_line
@@ -61,10 +60,13 @@ class Place:
     def at(cls, pose: Pose, covariance: FloatArray, *, settled: float = 0.0, tracked: bool = False) -> Place:
         """Return a place that begins here."""
         still = Pose.identity(pose.dim)
-        return cls(pose, covariance, (pose, covariance), still, still, settled=settled, tracked=tracked)
+        return cls(
+            pose, covariance, (pose, covariance), still, still, settled=settled, track=[pose], tracked=tracked
+        )
 
     def begin_anew(self) -> None:
         """Count odometry from here on."""
+        self.track.append(self.pose)
         self.anchor, self.way, self.driven = (self.pose, self.covariance), Pose.identity(self.pose.dim), (0.0, 0.0)
 
     def move(self, step: Pose) -> None:
@@ -74,13 +76,23 @@ class Place:
         self.driven = metres + float(np.linalg.norm(step.translation)), radians + step.angle
 
     @property
+    def metres_on(self) -> float:
+        """How far the sensor is from the anchor by odometry, metres."""
+        return float(np.linalg.norm(self.way.translation))
+
+    @property
     def likelihood(self) -> float:
         """Logarithm of how likely this place is, but for a constant."""
-        return self.settled + max(-LOUDEST, self.view[0] + self.latest)
+        said, scans, _ = self.view
+        return self.settled + (said + self.latest) / (scans + 1)
 
     def settle(self, view_metres: float) -> None:
-        """Take what the last scan said as said; the view is over when the robot has driven so many metres."""
-        said, metres = max(-LOUDEST, self.view[0] + self.latest), self.view[1] + self.driven[0]
-        over = metres >= view_metres
-        self.settled, self.view = (self.settled + said, (0.0, 0.0)) if over else (self.settled, (said, metres))
+        """Take what the last scan said as said; the view is over when the robot has driven so many metres.
+
+        Scans of one view show the same walls and the same people: together they say what they say on average.
+        """
+        said, scans, metres = self.view[0] + self.latest, self.view[1] + 1, self.view[2] + self.driven[0]
+        self.view = said, scans, metres
+        if metres >= view_metres:
+            self.settled, self.view = self.settled + said / scans, (0.0, 0, 0.0)
         self.latest = 0.0
