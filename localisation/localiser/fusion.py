@@ -12,7 +12,7 @@ from hexmap.base.arrays import FloatArray
 from hexmap.poses.pose import Pose, wrap_angle
 from hexmap.poses.rotations import exponential
 
-__all__ = ["carry_on", "fuse", "move_point"]
+__all__ = ["carry_on", "difference", "fuse", "move_point"]
 
 
 def _lever(offset: FloatArray) -> FloatArray:
@@ -45,14 +45,18 @@ def carry_on(
 def fuse(predicted: Pose, P: FloatArray, measured: Pose, M: FloatArray) -> tuple[Pose, FloatArray]:
     """Return pose and covariance that a prediction (P) and a measurement (M) make together, by their information."""
     n = predicted.dim
-    turn = measured.rotation @ predicted.rotation.T
-    between = np.concatenate([measured.translation - predicted.translation, _rotation_vector(turn)])
+    between = difference(predicted, measured)
     information = np.linalg.inv(P) + np.linalg.inv(M)
     covariance = np.linalg.inv(information)
     covariance = 0.5 * (covariance + covariance.T)
     step = covariance @ np.linalg.solve(M, between)
     R = exponential(step[n:]) if n == 3 else Pose.planar(0.0, 0.0, float(step[2])).rotation
     return Pose.identity(n) @ Pose(R @ predicted.rotation, predicted.translation + step[:n]), covariance
+
+
+def difference(a: Pose, b: Pose) -> FloatArray:
+    """Return what a covariance of ``a`` speaks of: the translation, then the rotation vector, from ``a`` to ``b``."""
+    return np.concatenate([b.translation - a.translation, _rotation_vector(b.rotation @ a.rotation.T)])
 
 
 def _rotation_vector(R: FloatArray) -> FloatArray:

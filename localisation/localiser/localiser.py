@@ -22,7 +22,7 @@ from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.evidence import LOUDEST, Evidence, fits, log_odds, meets
-from localisation.localiser.fusion import fuse, move_point
+from localisation.localiser.fusion import difference, fuse, move_point
 from localisation.localiser.history import History, Step
 from localisation.localiser.place import Place
 from localisation.localiser.place_matcher import PlaceMatcher
@@ -49,6 +49,8 @@ _MOST_DOUBLINGS = 5
 # list the best places and among them no rival, are taken for completeness: were the truth one of those not carried on,
 # which lists two times in three, and more often than not the first, it would have been missed by all of them.
 _IN_VAIN = 3
+# Standard deviations within which two places close together are one.
+_ONE_PLACE = 2.0
 # Scans that see mostly the same show the same people and the same open door: together they are one view. Half of a
 # scan's points lie within their median range; two such discs share 39 % where their centres are one such range apart.
 _VIEW = 1.0
@@ -262,7 +264,7 @@ class Localiser:
             self._waited = 0.0
             found = self._newcomers(points, self._history.gather(points, self._places[0].track))
             self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
-            new = [p for p in found if not any(is_same_place(p.pose, old.pose, s.apart) for old in kept)]
+            new = [p for p in found if not any(_is_same(p, old, s.apart) for old in kept)]
             new = [p for p in new if self._history.judge(p, step, credit - _HOPELESS)]
             rivals = [p for p in new if p.settled > credit - math.log(s.odds)]
             self._in_vain = 0 if rivals or not self._full else self._in_vain + 1
@@ -352,7 +354,7 @@ class Localiser:
         for place in (self._places[k] for k in order):
             if kept and kept[0].likelihood - place.likelihood > _HOPELESS:
                 break
-            same = next((other for other in kept if is_same_place(place.pose, other.pose, s.apart)), None)
+            same = next((other for other in kept if _is_same(place, other, s.apart)), None)
             if same is None:
                 kept.append(place)
             else:
@@ -438,6 +440,19 @@ class Localiser:
             contradicted=(match.contradicted or 0.0) if match else 0.0,
             complete=self._all_known,
         )
+
+
+def _is_same(place: Place, other: Place, apart: tuple[float, float]) -> bool:
+    """Tell whether two places are one: close together, or not farther than that beyond what is in doubt of them.
+
+    Along a corridor a place may be carried on twice, half a metre apart, and nothing would ever tell the two apart.
+    """
+    if is_same_place(place.pose, other.pose, apart):
+        return True
+    if not is_same_place(place.pose, other.pose, (2.0 * apart[0], 2.0 * apart[1])):
+        return False
+    between = difference(place.pose, other.pose)
+    return float(between @ np.linalg.solve(place.covariance + other.covariance, between)) <= _ONE_PLACE**2
 
 
 def _view_metres(points: FloatArray) -> float:

@@ -62,6 +62,7 @@ class Sizes:
     length: int
     metres: float
     foreign: int
+    logs: tuple[int, ...] = (1, 2)
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ def wean(cache: Path, sizes: Sizes) -> None:
         "Wean Hall", "instants", "right", "wrong", "never", "m, median / 90 %", "s of the drive", "CPU s",
         "scans placed", "right of placed", "points explained", "times lost",
     ]]  # fmt: skip
-    for number in (1, 2):
+    for number in sizes.logs:
         run = wean_run(cache, number)
         found, seconds = [], []
         for first in _instants(run, sizes.instants, 60, number):
@@ -384,10 +385,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--instants", type=int, default=50, help="random instants of each log")
     parser.add_argument("--length", type=int, default=300, help="scans from each at the most")
     parser.add_argument("--metres", type=float, default=40.0, help="of Wean Hall, from each instant at the most")
+    parser.add_argument("--logs", type=int, nargs="+", default=[1, 2], choices=[1, 2], help="of Wean Hall")
     parser.add_argument("--foreign", type=int, default=700, help="scans of each log in each map of another building")
 
     def sizes(chosen: argparse.Namespace) -> Sizes:
-        return Sizes(chosen.instants, chosen.length, chosen.metres, chosen.foreign)
+        return Sizes(chosen.instants, chosen.length, chosen.metres, chosen.foreign, tuple(chosen.logs))
 
     run_figures(parser, arguments, FIGURES, sizes)
 
