@@ -49,6 +49,7 @@ app.command(cls=Command, short_help="Simulate a drive through a building.")(mapp
 app.command(cls=Command, short_help="Build a map from logs of a laser or a LiDAR.")(build.build)
 app.command(cls=Command, short_help="Find a robot in a map and follow it along a log.")(localise.localise)
 app.command(cls=Command, short_help="Merge maps of one place, cell by cell.")(mapping.merge)
+app.command(cls=Command, short_help="Cut a part out of a map.")(viewing.crop)
 app.command(cls=Command, short_help="Score trajectories against a reference or relations.")(trajectories.evaluate)
 app.command(cls=Command, short_help="Write a trajectory in another format.")(trajectories.convert)
 app.command(cls=Command, short_help="Say what a map or a log holds and where it is from.")(viewing.info)

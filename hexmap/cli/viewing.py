@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hexmap.cli import clouds
-from hexmap.cli.console import check_outputs, mount_words, say, warn, wrote
+from hexmap.cli.console import check_map_output, check_outputs, mount_words, say, warn, wrote
 from hexmap.cli.lattice_options import Bases, own_lattice
 
 if TYPE_CHECKING:
@@ -304,8 +304,27 @@ def export(
         wrote(path, f"level {level}, {loaded.level(level).lattice.resolution:g} m")
 
 
-def cropped(path: Path, crop: str | None) -> Map:
-    """Return the part of a map of hexmap in the box that ``--crop`` names, all of it where it names none.
+def crop(
+    map: MapFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Where to write the part (.parquet).")],
+    box: Annotated[
+        str, typer.Option(help="Opposite corners: x,y,x,y or, in space, x,y,z,x,y,z, m.", metavar="X,Y,X,Y")
+    ],
+) -> None:
+    """Cut a part out of a map; of a map of tiles only those are read that the box meets."""
+    from hexmap.base.text import plural
+    from hexmap.io.map_file import save_map
+
+    check_map_output(output)
+    check_outputs({"--output": output}, (map,))
+    part = cropped(map, box, "--box")
+    save_map(output, part)
+    cells = len(part.levels[0].hits)
+    wrote(output, f"{plural(len(part.levels), 'level')}, {cells:,} cells hit, {part.lattice.title}")
+
+
+def cropped(path: Path, crop: str | None, option: str = "--crop") -> Map:
+    """Return the part of a map of hexmap in the box that an option names, all of it where it names none.
 
     Of a map of tiles only those are read that the box meets.
 
@@ -320,7 +339,7 @@ def cropped(path: Path, crop: str | None) -> Map:
         return open_map(path)
     n = len(map_metadata(path)["lattice"]["basis"])
     if len(low) != n:
-        raise ArgumentError(f"--crop takes {2 * n} numbers: {path} is a map of dimension {n}")
+        raise ArgumentError(f"{option} takes {2 * n} numbers: {path} is a map of dimension {n}")
     part = open_map(path, low, high)
     if part.bounds() is None:
         raise ArgumentError(f"{path}: no cell of the map lies in the box {crop}")

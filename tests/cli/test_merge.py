@@ -135,3 +135,29 @@ def test_maps_without_an_identity_merge_as_they_are(case: Case) -> None:
     with pytest.raises(ValueError, match="of a and of b"):
         known.merge(other)
     assert known.transform(Pose.identity(case.dim)) == known
+
+
+def test_a_part_of_a_map_is_the_same_from_a_file_and_from_tiles(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, tiles = folder / "one.parquet", tmp_path / "tiles"
+    assert call("merge", whole, "-o", tiles, "--tiles", 1.6) == 0
+    low, high = load_map(whole).bounds()
+    middle = (low + high) / 2.0
+    box = ",".join(str(v) for v in (*low, *middle))
+    parts = [tmp_path / f"part-{k}.parquet" for k in range(2)]
+    for source, part in zip((whole, tiles), parts, strict=True):
+        assert call("crop", source, "--box", box, "-o", part) == 0
+    assert parts[0].read_bytes() == parts[1].read_bytes()
+    part = load_map(parts[0])
+    assert 0 < len(part.levels[0].hits) < len(load_map(whole).levels[0].hits)
+    assert (part.levels[0].hits.centres() <= middle).all()
+    capsys.readouterr()
+    for words, code, said in (
+        (("--box", "0,0,1"), 2, "4 or 6 numbers"),
+        (("--box", "0,0,0,1,1,1"), 2, "--box takes 4 numbers"),
+        (("--box", "900,900,901,901"), 1, "no cell of the map lies in the box"),
+    ):
+        assert call("crop", whole, *words, "-o", tmp_path / "none.parquet") == code
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "none.parquet").exists()
