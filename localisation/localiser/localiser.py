@@ -42,12 +42,12 @@ _FARTHEST_JUMP = 100.0
 _WIDENED = 4.0
 # One in e^10 as likely as the best: what is dropped cannot win any more.
 _HOPELESS = 10.0
-# A search that found too many places is repeated, and each wait is twice the last, up to 2^5 steps;
-# a robot outside the map is looked for every 8 m.
+# A search that found too many places, or none, is repeated, and each wait is twice the last, up to 2^5 steps; a robot
+# outside the map is looked for every 8 m.
 _MOST_DOUBLINGS = 5
 # In a corridor there are always more places than are carried on. So many searches in a row, each in another view, that
-# list the best places and among them no rival, are taken for completeness: were the truth one of those not carried on,
-# which lists two times in three, and more often than not the first, it would have been missed by all of them.
+# list the best places and no rival among them, are taken for completeness: a truth that is not carried on would have
+# been outscored in every one of them by as many other places.
 _IN_VAIN = 3
 # Standard deviations within which two places close together are one.
 _ONE_PLACE = 2.0
@@ -258,21 +258,28 @@ class Localiser:
             kept = []
         waiting = min(s.step_metres * 2.0**self._fruitless, max(s.step_metres, view_metres))
         if kept and fresh and self._waited >= waiting and not (self._all_known and any(map(self._agrees, kept))):
-            # There were more places than are carried on, or none agrees: those that fit what was seen get their chance.
-            # A long corridor looks alike for many metres and is the longest to search, so each wait is twice the last,
-            # until the robot sees something else.
-            self._waited = 0.0
-            found = self._newcomers(points, self._history.gather(points, self._places[0].track))
-            self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
-            new = [p for p in found if not any(_is_same(p, old, s.apart) for old in kept)]
-            new = [p for p in new if self._history.judge(p, step, credit - _HOPELESS)]
-            rivals = [p for p in new if p.settled > credit - math.log(s.odds)]
-            self._in_vain = 0 if rivals or not self._full else self._in_vain + 1
-            kept += new
+            kept += self._rivals(points, kept, step, credit)
         if fresh:
             self._history.add(points, step, _best_share(kept), view_metres, credit)
         self._places = kept
         self._settle_on(points)
+
+    def _rivals(self, points: FloatArray, kept: list[Place], step: Step, credit: float) -> list[Place]:
+        """Search the map again; return the places that are not ``kept`` yet, judged by what was seen before.
+
+        There were more places than are carried on, or none agrees: those that fit what was seen get their chance. A
+        long corridor looks alike for many metres and is the longest to search, so each wait is twice the last, until
+        the robot sees something else.
+        """
+        s = self.settings
+        self._waited = 0.0
+        found = self._newcomers(points, self._history.gather(points, self._places[0].track))
+        self._fruitless = 0 if self._complete else min(self._fruitless + 1, _MOST_DOUBLINGS)
+        new = [p for p in found if not any(_is_same(p, old, s.apart) for old in kept)]
+        new = [p for p in new if self._history.judge(p, step, credit - _HOPELESS)]
+        rival = any(p.settled > credit - math.log(s.odds) for p in new)
+        self._in_vain = 0 if rival or not self._full else self._in_vain + 1
+        return new
 
     def _wait(self, points: FloatArray, *, measured: bool) -> None:
         """Carry all places on by odometry alone, and match a scan that is no new evidence at the best one only.
