@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import BoundsError, TooLargeError
+from hexmap.lattice.keys import pack, unpack
 
 __all__ = ["MOST_COUNT", "Tiles", "compress", "encode"]
 
@@ -44,9 +45,12 @@ class Tiles:
         """
         n = index.shape[1]
         for side in _SIDES[n]:
-            at = index.astype(np.int64)
-            at[:, :2] //= side
-            corners, which = np.unique(at, axis=0, return_inverse=True)
+            tiles = index.copy()
+            tiles[:, :2] //= side
+            # Cells come in runs of one tile, and of these there are few to put in order.
+            starts = np.flatnonzero(np.append(True, (tiles[1:] != tiles[:-1]).any(axis=1)))
+            keys, run = np.unique(pack(tiles[starts]), return_inverse=True)
+            corners = unpack(keys, n).astype(np.int64)
             if len(corners) <= _MOST_TILES[n] and np.ptp(corners, axis=0).max(initial=0) < _EXTENT:
                 break
         else:
@@ -56,8 +60,9 @@ class Tiles:
             )
         self.side = side
         self.corners = corners
-        inside = index[:, :2].astype(np.int64) - at[:, :2] * side
-        self._flat = (which.ravel() * side + inside[:, 0]) * side + inside[:, 1]
+        which = np.repeat(run, np.diff(starts, append=len(index)))
+        inside = (index[:, :2] - tiles[:, :2] * side).astype(np.int64)
+        self._flat = (which * side + inside[:, 0]) * side + inside[:, 1]
 
     def dense(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return ``values`` (M,) as an array (K, side, side), 0 where no cell is."""
