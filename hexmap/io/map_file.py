@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from hexmap.base.atomic_files import atomic_write
 from hexmap.base.errors import FileAccessError, FormatError, HexmapError, TooLargeError
 from hexmap.base.text import quoted, reason
+from hexmap.base.values import read_only
 from hexmap.io.file_kinds import PARQUET
 from hexmap.io.read_file import cannot_read, check_regular, inflation_limit
-from hexmap.lattice.keys import pack, unpack
+from hexmap.lattice.keys import KeyArray, pack, unpack
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
@@ -191,9 +192,10 @@ def load_map(path: str | os.PathLike[str]) -> Map:
         header = header_of(path, file.schema_arrow.metadata)
         lattice = lattice_of(path, header)
         names = check_columns(path, file, lattice.dim)
-        columns = _read(path, file, names)
-    levels = levels_of(path, header)
-    return _build(path, header, lattice, levels, columns)
+        rows = _Rows(path, lattice, levels_of(path, header))
+        for columns in _read(path, file, names):
+            rows.add(columns)
+    return Map(rows.levels(), header["frame"], texts_of(header))
 
 
 def read_metadata(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -414,60 +416,82 @@ def parquet_of(path: Path, handle: IO[bytes]) -> Any:
     return file
 
 
-def _read(path: Path, file: Any, names: tuple[str, ...]) -> list[NDArray[np.int64]]:
-    """Return the columns ``names``, each (M,) int64."""
+def _read(path: Path, file: Any, names: tuple[str, ...]) -> Iterator[list[NDArray[np.int64]]]:
+    """Yield the columns ``names``, each (M,) int64, so many rows at a time."""
     import pyarrow as pa
 
     try:
-        table = file.read(columns=list(names), use_threads=False)
-        for name in names:
-            if table.column(name).null_count:
-                raise FormatError(f"{path}: damaged map: column {name!r} has empty values")
-        return [np.asarray(table.column(name).cast(pa.int64()).to_numpy(), dtype=np.int64) for name in names]
+        for batch in file.iter_batches(_GROUP, columns=list(names), use_threads=False):
+            for name in names:
+                if batch.column(name).null_count:
+                    raise FormatError(f"{path}: damaged map: column {name!r} has empty values")
+            yield [np.asarray(batch.column(name).cast(pa.int64()).to_numpy(), dtype=np.int64) for name in names]
     except FormatError:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
         raise FormatError(f"{path}: damaged map: {reason(error)}") from error
 
 
-def _build(path: Path, header: dict[str, Any], lattice: Lattice, count: int, columns: list[NDArray[np.int64]]) -> Map:
-    """Check the rows and make the map of them."""
-    level, *axes, hits, passes = columns
+class _Rows:
+    """Checks rows as they are read, and makes the levels of them."""
 
-    def refuse(bad: NDArray[np.bool_], what: str) -> None:
-        if bad.any():
-            row = int(np.argmax(bad))
-            place = "level {}, index ({})".format(level[row], ", ".join(str(axis[row]) for axis in axes))
-            raise FormatError(f"{path}: damaged map: row {row} ({place}) {what}")
+    def __init__(self, path: Path, lattice: Lattice, count: int) -> None:
+        self._path, self._lattice, self._count = path, lattice, count
+        # Of each level the keys and counts that are not 0, of hits and of passes.
+        self._pieces: list[list[list[tuple[KeyArray, NDArray[np.int64]]]]] = [[[], []] for _ in range(count)]
+        self._row = 0
+        self._last = np.full(2, -1, np.int64)  # level and key of the row before
 
-    refuse((level < 0) | (level >= count), f"is on a level that is not among 0 to {count - 1}")
-    for axis in axes:
-        refuse((axis >= lattice.limit) | (axis <= -lattice.limit), f"has an index out of range, {lattice.limit}")
-    for name, counts in (("hits", hits), ("passes", passes)):
-        refuse(counts < 0, f"has a negative number of {name}")
-    keys = pack(np.stack(axes, axis=1).astype(np.int32))
-    step = np.diff(level)
-    same = step == 0
-    refuse(_after_first(same & (keys[1:] == keys[:-1])), "repeats the cell of the row before")
-    refuse(_after_first((step < 0) | (same & (keys[1:] < keys[:-1]))), "is not sorted by level and index")
-    ends = np.searchsorted(level, np.arange(count + 1))
-    parts = []
-    for k in range(count):
-        rows = slice(ends[k], ends[k + 1])
-        at = lattice.scaled(2.0**k)
-        lists = []
-        for counts in (hits[rows], passes[rows]):
-            some = counts > 0
-            lists.append(VoxelList(at, keys[rows][some], counts[some]))
-        parts.append(Level(*lists))
-    return Map(parts, header["frame"], texts_of(header))
+    def add(self, columns: list[NDArray[np.int64]]) -> None:
+        """Take the next rows: level, indices, hits and passes.
+
+        Raises:
+            FormatError: they are not those of a map.
+        """
+        level, *axes, hits, passes = columns
+        if not len(level):
+            return
+        limit = self._lattice.limit
+
+        def refuse(bad: NDArray[np.bool_], what: str) -> None:
+            if bad.any():
+                row = int(np.argmax(bad))
+                place = "level {}, index ({})".format(level[row], ", ".join(str(axis[row]) for axis in axes))
+                raise FormatError(f"{self._path}: damaged map: row {self._row + row} ({place}) {what}")
+
+        refuse((level < 0) | (level >= self._count), f"is on a level that is not among 0 to {self._count - 1}")
+        for axis in axes:
+            refuse((axis >= limit) | (axis <= -limit), f"has an index out of range, {limit}")
+        for name, counts in (("hits", hits), ("passes", passes)):
+            refuse(counts < 0, f"has a negative number of {name}")
+        keys = pack(np.stack(axes, axis=1).astype(np.int32))
+        before, key_before = self._last
+        step = np.diff(level, prepend=before)
+        same = step == 0
+        follows = np.append(key_before, keys[:-1])
+        refuse(same & (keys == follows), "repeats the cell of the row before")
+        refuse((step < 0) | (same & (keys < follows)), "is not sorted by level and index")
+        ends = np.searchsorted(level, np.arange(self._count + 1))
+        for pieces, (begin, end) in zip(self._pieces, itertools.pairwise(ends.tolist()), strict=True):
+            for kind, counts in zip(pieces, (hits[begin:end], passes[begin:end]), strict=True):
+                some = counts > 0
+                kind.append((keys[begin:end][some], counts[some]))
+        self._row += len(level)
+        self._last = np.array([level[-1], keys[-1]])
+
+    def levels(self) -> list[Level]:
+        """Return the levels; what was read is given back one by one, so that a large map is not in memory twice."""
+        out = []
+        for k, pieces in enumerate(self._pieces):
+            on, lists = self._lattice.scaled(2.0**k), []
+            for kind in pieces:
+                columns = [read_only(np.concatenate([p[c] for p in kind] or [np.empty(0, np.int64)])) for c in (0, 1)]
+                kind.clear()
+                lists.append(VoxelList(on, *columns))
+            out.append(Level(*lists))
+        return out
 
 
 def texts_of(header: dict[str, Any]) -> list[str]:
     """Return the provenance that metadata holds as the texts that a map has."""
     return [e if isinstance(e, str) else json.dumps(e, sort_keys=True) for e in header["provenance"]]
-
-
-def _after_first(bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Turn a mask of pairs of rows into one of rows, the later one of each pair."""
-    return np.concatenate([np.zeros(1, np.bool_), bad])
