@@ -1,9 +1,7 @@
-"""Workers that die cost their task only; a Dask cluster computes the same bits; a missing extra is one line."""
+"""A Dask cluster computes the same bits; a missing extra is one line."""
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,40 +12,11 @@ import pytest
 from hexmap.base.errors import ArgumentError, FileAccessError, MissingDependencyError
 from hexmap.cli import main
 from hexmap.experiments import run_cases
-from hexmap.experiments.case import CaseError
 from hexmap.experiments.cluster import cluster_executor
-from hexmap.experiments.lasting_workers import LastingWorkers
-
-
-def die_so_often(folder: str, number: int, times: int) -> int:
-    """Kill this process so many times, counted in a file, and then return."""
-    note = Path(folder) / f"deaths-{number}"
-    deaths = len(note.read_text()) if note.exists() else 0
-    if deaths < times:
-        note.write_text("x" * (deaths + 1))
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number * number
 
 
 def random_sum(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> dict[str, Any]:
     return {"sum": float(rng.normal(size=100).sum() * shared["scale"][case["i"] % 3])}
-
-
-def test_a_worker_that_is_killed_costs_its_task_only(tmp_path: Path) -> None:
-    workers = LastingWorkers(2, tmp_path)
-    try:
-        deaths = [0, 1, 2, 0]
-        futures = [workers.submit(die_so_often, str(tmp_path), k, times) for k, times in enumerate(deaths)]
-        for k, (future, times) in enumerate(zip(futures, deaths, strict=True)):
-            if times < 2:
-                assert future.result(timeout=120) == k * k
-            else:
-                with pytest.raises(CaseError, match="the worker died, 2 times"):
-                    future.result(timeout=120)
-    finally:
-        workers.stop()
-    with pytest.raises(RuntimeError):
-        workers.submit(len, "a")
 
 
 def test_what_is_wrong_with_a_cluster_is_one_line(
