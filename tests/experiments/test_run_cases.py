@@ -34,7 +34,7 @@ from hexmap.experiments.statistics import (
     mean,
 )
 from hexmap.maps.metrics import coefficient_of_variation, interquartile_variability
-from tests.observing import PATIENCE, wait_until
+from tests.observing import PATIENCE, children, wait_until
 
 Case = dict[str, Any]
 Shared = Mapping[str, Any]
@@ -451,18 +451,6 @@ SCRIPT = """
             sys.exit(130)
         sys.stdout.write(json.dumps(out))
 """
-
-
-def children(pid: int) -> set[int]:
-    found = set()
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = entry.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == pid:
-            found.add(int(entry.parent.name))
-    return found
 
 
 def runs(pid: int) -> bool:
