@@ -282,13 +282,13 @@ def test_a_killed_merge_leaves_the_old_map_or_the_new_one(tmp_path: Path) -> Non
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 def test_workers_killed_or_not_write_the_same_tiles(tmp_path: Path) -> None:
-    maps = [some_map(Lattice.named("D3", 0.1), seed, 20_000, spread=60.0) for seed in range(3)]
+    maps = [some_map(Lattice.named("A2", 0.1), seed, 20_000, spread=200.0) for seed in range(3)]
     paths = saved(tmp_path, maps)
-    merge(paths, tmp_path / "one", 12.8)
+    merge(paths, tmp_path / "one", 25.6)
     steps: list[tuple[int, int]] = []
     with ThreadPoolExecutor(1) as thread:
         killed = thread.submit(kill_a_worker)
-        merge(paths, tmp_path / "two", 12.8, workers=2, progress=lambda *now: steps.append(now))
+        merge(paths, tmp_path / "two", 25.6, workers=2, progress=lambda *now: steps.append(now))
         assert killed.result(timeout=PATIENCE) not in children(os.getpid())
     assert contents(tmp_path / "two") == contents(tmp_path / "one")
     rows = sum(len(level.columns()[0]) for map in maps for level in map.levels)
