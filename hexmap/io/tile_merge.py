@@ -32,7 +32,7 @@ from hexmap.maps.map import Level, Map
 from hexmap.maps.origin import common_logs, logs_in_words
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["merge_maps"]
+__all__ = ["merge_maps", "merge_parts"]
 
 # Maps read side by side; more are merged in groups of as many first. Each has a batch of every level in memory.
 _SIDE_BY_SIDE = 64
@@ -99,6 +99,24 @@ def merge_maps(
         raise ArgumentError(f"the number of workers must be 1 or larger, not {workers!r}")
     check_folder(target)
     merged = _merged_empty(sources, same_frame, again)
+    merge_parts(sources, target, tiles, merged, progress, workers=workers, executor=executor)
+    return MapFolder.open(target)
+
+
+def merge_parts(
+    sources: Sequence[Path],
+    target: Path,
+    tiles: float,
+    merged: Map,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    executor: Executor | None = None,
+) -> None:
+    """Merge maps that are known to go together into a folder of tiles: arguments and errors as of :func:`merge_maps`.
+
+    ``merged`` is the map that they make, without its cells.
+    """
     cells = tile_cells(merged.lattice, len(merged.levels), tiles)
     with contextlib.ExitStack() as stack:
         if executor is not None:
@@ -112,14 +130,13 @@ def merge_maps(
             )
             sources = _merge_groups(sources, Path(stack.enter_context(beside)), merged, cells, team)
         _merge_side_by_side(sources, target, merged, cells, team, progress)
-    return MapFolder.open(target)
 
 
 def _merge_groups(
-    paths: list[Path], scratch: Path, merged: Map, cells: tuple[int, ...], team: _Team
+    paths: Sequence[Path], scratch: Path, merged: Map, cells: tuple[int, ...], team: _Team
 ) -> list[Path]:
     """Merge maps in groups until so few are left that they can be read side by side."""
-    numbers = itertools.count()
+    numbers, paths = itertools.count(), list(paths)
     while len(paths) > _SIDE_BY_SIDE:
         groups = [paths[i : i + _SIDE_BY_SIDE] for i in range(0, len(paths), _SIDE_BY_SIDE)]
         paths = [
