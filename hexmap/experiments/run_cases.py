@@ -113,7 +113,8 @@ def run_cases(
         count = min(workers, len(tasks))
         results.report()
         if executor is not None:
-            with _scratch(folder) as scratch:
+            # Workers of this machine see its temporary folder, others perhaps not.
+            with _scratch(None if isinstance(executor, LocalWorkers) else folder) as scratch:
                 write_payload(scratch, function, data, int(seed))
                 _compute_by(executor, scratch, tasks, results)
         elif count > 1:

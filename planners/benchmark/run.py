@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.local_workers import LocalWorkers
 from hexmap.experiments.run_cases import run_cases
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.lattice import Lattice
@@ -53,6 +54,10 @@ def run_benchmark(
     """Compute all cases; arguments and errors are those of :func:`planning_benchmark`."""
     if not maps:
         raise ArgumentError("the benchmark needs at least one map")
+    if executor is None and workers > 1:
+        # They last over all maps and stages: each has to load the kernels of all planners once.
+        with LocalWorkers(workers) as pool:
+            return run_benchmark(maps, settings, folder=folder, executor=pool, progress=progress)
     names = [path.name for path in maps]
     for name in names:
         if names.count(name) > 1:
