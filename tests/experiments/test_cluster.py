@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,10 +15,19 @@ from hexmap.base.errors import ArgumentError, FileAccessError, MissingDependency
 from hexmap.cli import main
 from hexmap.experiments import run_cases
 from hexmap.experiments.cluster import cluster_executor
+from hexmap.io.tile_merge import merge_maps
 
 
 def random_sum(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> dict[str, Any]:
     return {"sum": float(rng.normal(size=100).sum() * shared["scale"][case["i"] % 3])}
+
+
+def killed_once(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> dict[str, Any]:
+    note = Path(shared["note"])
+    if case["i"] == 5 and not note.exists():
+        note.write_text("")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return random_sum(case, rng, shared)
 
 
 def test_what_is_wrong_with_a_cluster_is_one_line(
@@ -57,10 +68,18 @@ def test_a_cluster_computes_the_same_bits(tmp_path: Path) -> None:
             folder = tmp_path / "cases"
             folder.mkdir()
             assert run_cases(random_sum, cases, shared=shared, seed=3, executor=executor, folder=folder) == expected
+            # A worker process that is killed is replaced, and what it computed is computed again.
+            mortal = {**shared, "note": str(tmp_path / "killed")}
+            found = run_cases(killed_once, cases, shared=mortal, seed=3, executor=executor, folder=folder)
+            assert (tmp_path / "killed").exists() and found == run_cases(killed_once, cases, shared=mortal, seed=3)
             fleet = build_fleet(logs, tmp_path / "two", loop_closure=False, executor=executor)
+            merge_maps(fleet.built, tmp_path / "tiles-two", 1.6, same_frame=True, executor=executor)
+        merge_maps(fleet.built, tmp_path / "tiles-one", 1.6, same_frame=True)
         again = ["build", *map(str, logs), "--fleet", "-o", str(tmp_path / "two"), "--no-loop-closure"]
         assert main([*again, "--cluster", cluster.scheduler_address]) == 0
     assert len(fleet.built) == 3 and not fleet.failed
+    one, two = ({p.name: p.read_bytes() for p in (tmp_path / f"tiles-{n}").iterdir()} for n in ("one", "two"))
+    assert one == two and len(one) > 4
     assert [p.read_bytes() for p in fleet.built] == [(tmp_path / "one" / p.name).read_bytes() for p in fleet.built]
     with pytest.raises(FileAccessError, match="no Dask scheduler answers"), cluster_executor("tcp://127.0.0.1:1"):
         pass
