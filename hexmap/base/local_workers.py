@@ -166,8 +166,9 @@ class LocalWorkers(Executor):
                 if lost:
                     lost[0].deaths += 1
                     if code >= 0 or lost[0].deaths >= _TRIES:
-                        failed.append((lost[0], WorkerDied(_how_it_died(code, lost[0].deaths))))
-                        lost = lost[1:]
+                        often = f", {lost[0].deaths} times" if lost[0].deaths > 1 else ""
+                        text = f"the worker died{often} ({_how(code)}){_hint(code)}"
+                        failed.append((lost.pop(0), WorkerDied(text)))
                 self._waiting.extendleft(reversed(lost))
                 lost = []
                 self._replace(number, None if worker.ready else code)
@@ -184,8 +185,8 @@ class LocalWorkers(Executor):
         if failed is not None:
             self._failed_starts += 1
             if failed >= 0 or self._failed_starts >= _TRIES:
-                what = f"exit code {failed}); {_NO_GUARD}" if failed >= 0 else f"killed by signal {-failed})"
-                self._over = WorkerError(f"a worker died before it began ({what}")
+                hint = f"; {_NO_GUARD}" if failed >= 0 else _hint(failed)
+                self._over = WorkerError(f"a worker died before it began ({_how(failed)}){hint}")
                 return
         try:
             self._workers[number] = _Worker()
@@ -270,11 +271,12 @@ class _Worker:
         return self.process.exitcode
 
 
-def _how_it_died(code: int, times: int) -> str:
-    how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
-    often = f", {times} times" if times > 1 else ""
-    hint = "; if memory ran out, use fewer workers" if code == -signal.SIGKILL else ""
-    return f"the worker died{often} ({how}){hint}"
+def _how(code: int) -> str:
+    return f"killed by signal {-code}" if code < 0 else f"exit code {code}"
+
+
+def _hint(code: int) -> str:
+    return "; if memory ran out, use fewer workers" if code == -signal.SIGKILL else ""
 
 
 def _answer(future: Future[Any], reply: bytes) -> None:
