@@ -36,6 +36,7 @@ T = TypeVar("T")
 # Workers share the machine among themselves; threads below them would only get in each other's way.
 _THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _STOP_SECONDS = 1.0
+_KILLED = -9  # the exit code, of what the system kills when memory runs out, too
 _TRIES = 3  # a worker that was killed says nothing of its task; three that died at it do
 _NO_GUARD = 'a script needs `if __name__ == "__main__":` around its run'
 # A worker whose tasks are shorter is sent the next one before it asks: waking it would take as long as the task. It
@@ -276,7 +277,7 @@ def _how(code: int) -> str:
 
 
 def _hint(code: int) -> str:
-    return "; if memory ran out, use fewer workers" if code == -signal.SIGKILL else ""
+    return "; if memory ran out, use fewer workers" if code == _KILLED else ""
 
 
 def _answer(future: Future[Any], reply: bytes) -> None:
