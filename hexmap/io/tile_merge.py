@@ -121,6 +121,8 @@ def merge_parts(
     with contextlib.ExitStack() as stack:
         if executor is not None:
             team = _Team(other=executor, workers=_CLUSTER)
+            # Its workers may have begun in another folder.
+            sources, target = [path.absolute() for path in sources], target.absolute()
         else:
             team = _Team(stack.enter_context(LocalWorkers(workers)), workers=workers) if workers > 1 else _Team()
         if len(sources) > _SIDE_BY_SIDE:

@@ -101,10 +101,10 @@ def merging(folder: Path) -> Subject:
 
 def fleet(folder: Path) -> Subject:
     logs = []
-    for seed in range(4):
-        logs.append(folder / f"room-{seed}.clf.gz")
+    for seed in range(8):
+        logs.append(folder / f"office-{seed}.clf.gz")
         if not logs[-1].exists():
-            run([*HEXMAP, "simulate", "room", "-o", str(logs[-1]), "--seed", str(seed), "--duration", "10"])
+            run([*HEXMAP, "simulate", "office", "-o", str(logs[-1]), "--seed", str(seed), "--duration", "30"])
     out = folder / "killed-fleet"
     command = [*HEXMAP, "build", "--fleet", *map(str, logs), "-o", str(out), "--workers", "2"]
     reference: dict[str, str] = {}
