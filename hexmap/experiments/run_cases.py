@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from hexmap.base.errors import ArgumentError
+from hexmap.base.errors import ArgumentError, HexmapError
 from hexmap.base.interrupts import deferred_interrupt
 from hexmap.base.local_workers import LocalWorkers, WorkerDied, WorkerError
 from hexmap.base.version import __version__
@@ -41,6 +41,7 @@ from hexmap.experiments.case import (
     check_function,
     compute,
     digest,
+    failure,
     one_line,
 )
 from hexmap.experiments.journal import Journal
@@ -205,13 +206,17 @@ def _result(future: Future[str], text: str) -> str:
     """Return what came out of the case ``text``.
 
     Raises:
-        CaseError: its workers died.
-        Exception: what the case raised.
+        CaseError: its workers died, or another executor has lost it.
+        HexmapError: what the case raised.
     """
     try:
         return future.result()
     except WorkerDied as error:
         raise CaseError(f"case {one_line(text)}: {error}") from error
+    except (HexmapError, BrokenExecutor):
+        raise
+    except Exception as error:  # no case raises anything else
+        raise CaseError(failure(text, error)) from error
 
 
 def _keep_what_is_finished(pending: Mapping[Future[str], Task], results: _Results) -> None:

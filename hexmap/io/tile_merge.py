@@ -19,8 +19,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hexmap.base.errors import ArgumentError, LatticeError
-from hexmap.base.local_workers import LocalWorkers
+from hexmap.base.errors import ArgumentError, HexmapError, LatticeError
+from hexmap.base.local_workers import LocalWorkers, WorkerError
+from hexmap.base.text import reason
 from hexmap.io.file_kinds import is_map_folder
 from hexmap.io.map_file import describe, lattice_of, levels_of, texts_of
 from hexmap.io.map_folder import MapFolder, Tile
@@ -90,7 +91,7 @@ def merge_maps(
         LatticeError: the lattices or the numbers of levels differ.
         BoundsError: a count would be more than 2^63 - 1.
         FileAccessError, FormatError: a map cannot be read, or the folder cannot be written.
-        WorkerError: three workers that merged the same tiles died.
+        WorkerError: three workers that merged the same tiles died, or another executor has lost them.
     """
     sources, target = [Path(p) for p in paths], Path(output)
     if not sources:
@@ -214,11 +215,13 @@ def _merge_by(team: _Team, parts: Sequence[Part], scratch: Path, report: Callabl
             if not left or any(future.exception() is not None for future in done):
                 # In the order of the parts: of several that failed, the first.
                 return [tile for future in futures if future.done() for tile in future.result()]
-    except BaseException:
+    except BaseException as error:
         for future in futures:
             future.cancel()
         if team.own is not None:
             team.own.stop()  # before the folder that they write to is removed
+        elif isinstance(error, Exception) and not isinstance(error, HexmapError):
+            raise WorkerError(f"the executor lost a part: {type(error).__name__}: {reason(error)}") from error
         raise
 
 

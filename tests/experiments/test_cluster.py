@@ -14,6 +14,7 @@ import pytest
 from hexmap.base.errors import ArgumentError, FileAccessError, MissingDependencyError
 from hexmap.cli import main
 from hexmap.experiments import run_cases
+from hexmap.experiments.case import CaseError
 from hexmap.experiments.cluster import cluster_executor
 from hexmap.io.tile_merge import merge_maps
 
@@ -24,7 +25,7 @@ def random_sum(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> d
 
 def killed_once(case: dict[str, Any], rng: np.random.Generator, shared: Any) -> dict[str, Any]:
     note = Path(shared["note"])
-    if case["i"] == 5 and not note.exists():
+    if case["i"] == 5 and (shared["always"] or not note.exists()):
         note.write_text("")
         os.kill(os.getpid(), signal.SIGKILL)
     return random_sum(case, rng, shared)
@@ -54,6 +55,8 @@ def test_a_cluster_computes_the_same_bits(tmp_path: Path) -> None:
     from localisation.mapping.fleet import build_fleet
 
     distributed = pytest.importorskip("distributed")
+    import dask
+
     logs = []
     for seed in range(3):
         logs.append(tmp_path / f"room-{seed}.clf.gz")
@@ -61,17 +64,22 @@ def test_a_cluster_computes_the_same_bits(tmp_path: Path) -> None:
     cases, shared = [{"i": i} for i in range(12)], {"scale": np.array([1.0, 0.3, 7.0])}
     expected = run_cases(random_sum, cases, shared=shared, seed=3)
     build_fleet(logs, tmp_path / "one", loop_closure=False)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+    ):
         with cluster_executor(cluster.scheduler_address) as executor:
             folder = tmp_path / "cases"
             folder.mkdir()
             assert run_cases(random_sum, cases, shared=shared, seed=3, executor=executor, folder=folder) == expected
             # A worker process that is killed is replaced, and what it computed is computed again.
-            mortal = {**shared, "note": str(tmp_path / "killed")}
+            mortal = {**shared, "note": str(tmp_path / "killed"), "always": False}
             found = run_cases(killed_once, cases, shared=mortal, seed=3, executor=executor, folder=folder)
             assert (tmp_path / "killed").exists() and found == run_cases(killed_once, cases, shared=mortal, seed=3)
+            with pytest.raises(CaseError, match=r'^case {"i":5}: KilledWorker: '):
+                run_cases(killed_once, cases[5:6], shared={**mortal, "always": True}, executor=executor, folder=folder)
             fleet = build_fleet(logs, tmp_path / "two", loop_closure=False, executor=executor)
             merge_maps(fleet.built, tmp_path / "tiles-two", 1.6, same_frame=True, executor=executor)
         merge_maps(fleet.built, tmp_path / "tiles-one", 1.6, same_frame=True)

@@ -263,6 +263,7 @@ def test_a_killed_merge_leaves_the_old_map_or_the_new_one(tmp_path: Path) -> Non
     old, new = maps[0], reduce(Map.merge, maps)
     merge(paths[:1], out, 51.2)
     command = [sys.executable, "-m", "hexmap", "merge", *map(str, paths), "-o", str(out), "--tiles", "51.2"]
+    command += ["--workers", "2"]
     begin = time.monotonic()
     subprocess.run(command, check=True, capture_output=True)
     whole = time.monotonic() - begin
