@@ -334,6 +334,26 @@ def test_parts_find_rows_out_of_order(tmp_path: Path, monkeypatch: pytest.Monkey
         assert not (tmp_path / "all").exists()
 
 
+def test_a_part_reads_the_row_groups_that_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexmap.io.map_file._GROUP", 20)
+    (path,) = saved(tmp_path, [some_map(Lattice.named("A2", 0.1), 1, levels=1)])
+    metadata = pq.read_metadata(path)
+    assert metadata.num_row_groups >= 5
+    content = bytearray(path.read_bytes())
+    column = metadata.row_group(0).column(1)  # the first of all pages with indices
+    content[column.data_page_offset : column.data_page_offset + column.total_compressed_size] = bytes(
+        column.total_compressed_size
+    )
+    path.write_bytes(content)
+    rows = row_streams.MapRows(path)
+    (begin, end), low = rows.level_ends().tolist(), metadata.row_group(2).column(1).statistics.max
+    later = row_streams.RowStream(rows, rows.first_row(begin, end, low), end, 37)
+    assert later.head() is not None and len(later.take(later.last())[0]) == min(37, end - 40)
+    with pytest.raises(FormatError, match="damaged map"):
+        row_streams.RowStream(rows, rows.first_row(begin, end, -1000), end, 37).head()
+    rows.close()
+
+
 def test_streams_take_rows_of_files_without_statistics(tmp_path: Path) -> None:
     map = some_map(Lattice.named("D3", 0.1), 3)
     (path,) = saved(tmp_path, [map])
