@@ -91,7 +91,9 @@ def run_benchmark(
         shared = _shared(problems, settings, plan.reach)
         baselines.append(_run_baseline(plan, run, shared))
         optima.append(_run_optimum(plan, run, shared) if problems.grid_map.dim == 2 else None)
-        runs += _joined(number, problems.grid_map.dim, plan.grid_cases, run(grid_case, plan.grid_cases, shared))
+        # The small cells come last and take longest: begun first, no worker is left alone with one of them at the end.
+        found = run(grid_case, plan.grid_cases[::-1], shared)[::-1]
+        runs += _joined(number, problems.grid_map.dim, plan.grid_cases, found)
     free_space: list[FreeSpace] = []
     for dim, cases in open_cases.items():
         bases = [grid.make().basis.tolist() for grid in settings.grids(dim)]
