@@ -183,9 +183,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--times", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    makers = {make.__name__: make for make in (merging, fleet, experiment)}
+    parser.add_argument("--subjects", nargs="+", choices=list(makers), default=list(makers))
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    subjects = {make.__name__: make(options.folder) for make in (merging, fleet, experiment)}
+    subjects = {name: makers[name](options.folder) for name in options.subjects}
     for subject in subjects.values():
         subject.reset()
         subject.seconds = run(subject.command)
@@ -197,7 +199,7 @@ def main() -> None:
     while sum(found.values()) < options.times:
         number = sum(found.values())
         print(f"\r{number}", end="", file=sys.stderr)
-        name, whom = list(subjects)[number // 2 % 3], ("worker", "command")[number % 2]
+        name, whom = list(subjects)[number // 2 % len(subjects)], ("worker", "command")[number % 2]
         subject = subjects[name]
         subject.reset()
         state = kill(subject, whom, rng.uniform(0.05, 0.95) * subject.seconds)
