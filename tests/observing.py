@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 Value = TypeVar("Value")
@@ -23,6 +24,19 @@ def wait_until(condition: Callable[[], Value]) -> Value:
             raise TimeoutError("what the test waits for has not happened")
         time.sleep(0.01)
     return value
+
+
+def children(pid: int) -> set[int]:
+    """Return the processes that a process has started and that are still there."""
+    found = set()
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = entry.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            found.add(int(entry.parent.name))
+    return found
 
 
 def count_calls(function: Callable[..., Value], *arguments: Any) -> tuple[Value, int]:

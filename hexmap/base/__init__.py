@@ -1,1 +1,1 @@
-"""What every layer stands on: errors, files written whole or not at all, small array helpers, the version."""
+"""What every layer stands on: errors, files written whole or not at all, worker processes, arrays, the version."""

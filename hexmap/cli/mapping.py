@@ -12,6 +12,7 @@ import typer
 from hexmap.cli.build import Readings, build_and_report
 from hexmap.cli.build_lidar import lidar_settings
 from hexmap.cli.console import check_map_output, check_outputs, first_run_note, progress_line, say, wrote
+from hexmap.cli.fleet import Cluster
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -147,6 +148,8 @@ def merge(
         float | None,
         typer.Option(help="Write a folder of tiles about so many metres wide; the maps may be larger than memory."),
     ] = None,
+    workers: Annotated[int, typer.Option(help="With --tiles: processes; the map does not depend on it.")] = 1,
+    cluster: Cluster = None,
 ) -> None:
     """Merge maps cell by cell; the order does not matter unless they are moved."""
     from hexmap.base.errors import AlignmentError, ArgumentError, BoundsError, LatticeError
@@ -155,8 +158,13 @@ def merge(
     from hexmap.maps.origin import common_logs, logs_in_words
 
     if tiles is not None:
-        _merge_tiles(maps, output, tiles, align or transform is not None, same_frame, again)
+        if align or transform is not None:
+            raise typer.BadParameter("--tiles merges maps as they lie; --align and --transform write one file")
+        _merge_tiles(maps, output, tiles, same_frame, again, workers, cluster)
         return
+    for name, is_set in (("--workers", workers != 1), ("--cluster", cluster is not None)):
+        if is_set:
+            raise typer.BadParameter(f"{name} is for maps larger than memory, with --tiles")
     _check_merge(len(maps), align, same_frame, transform)
     check_map_output(output)
     check_outputs({"--output": output}, tuple(maps))
@@ -196,24 +204,26 @@ def merge(
 
 
 def _merge_tiles(
-    maps: list[Path], output: Path, tiles: float, moved: bool, same_frame: bool, again: bool
+    maps: list[Path], output: Path, tiles: float, same_frame: bool, again: bool, workers: int, cluster: str | None
 ) -> None:
     """Merge maps that may be larger than memory into a folder of tiles."""
     from hexmap.base.errors import FileAccessError
+    from hexmap.experiments.cluster import cluster_executor
     from hexmap.io.tile_merge import merge_maps
 
-    if moved:
-        raise typer.BadParameter("--tiles merges maps as they lie; --align and --transform write one file")
     if output.suffix.lower() == ".parquet":
         raise FileAccessError(f"{output}: cannot be written: with --tiles the map is a folder, and this names a file")
     fraction = [0.0]
-    with progress_line("merging", lambda: fraction[0], "rows") as update:
+    with cluster_executor(cluster) as executor, progress_line("merging", lambda: fraction[0], "rows") as update:
 
         def progress(rows: int, total: int) -> None:
             fraction[0] = rows / max(1, total)
             update(rows)
 
-        merged = merge_maps(maps, output, tiles, same_frame=same_frame, again=again, progress=progress)
+        merged = merge_maps(
+            maps, output, tiles, same_frame=same_frame, again=again, workers=workers, executor=executor,
+            progress=progress,
+        )  # fmt: skip
     count = "1 map cut" if len(maps) == 1 else f"{len(maps)} maps merged"
     wrote(output, f"{count} into {len(merged.tiles):,} tiles, {merged.totals()[0]['hit_cells']:,} cells hit")
 

@@ -28,7 +28,9 @@ from typing import Any
 
 import numpy as np
 
-from hexmap.base.errors import ArgumentError
+from hexmap.base.errors import ArgumentError, HexmapError
+from hexmap.base.interrupts import deferred_interrupt
+from hexmap.base.local_workers import LocalWorkers, WorkerDied, WorkerError
 from hexmap.base.version import __version__
 from hexmap.experiments.case import (
     CaseError,
@@ -39,11 +41,10 @@ from hexmap.experiments.case import (
     check_function,
     compute,
     digest,
+    failure,
     one_line,
 )
-from hexmap.experiments.interrupts import deferred_interrupt
 from hexmap.experiments.journal import Journal
-from hexmap.experiments.local_workers import LocalWorkers, compute_noted
 from hexmap.experiments.payload import compute_from_payload, write_payload
 
 __all__ = ["run_cases"]
@@ -93,7 +94,8 @@ def run_cases(
     Raises:
         ArgumentError: the function is not one that a worker can import, a case or ``shared`` is not plain
             data, or ``workers`` or ``seed`` is out of range.
-        CaseError: a case failed, or a worker died. Other cases that were finished stay in the journal.
+        CaseError: a case failed, or every worker that was given it died. Other cases that were finished stay in the
+            journal. A worker that is killed from outside costs what it had computed of its case, and no more.
         HexmapError: what a case itself raised, unchanged.
         FormatError: the journal is a foreign file.
         FileAccessError: the journal cannot be written, or another run is using it.
@@ -112,9 +114,10 @@ def run_cases(
         count = min(workers, len(tasks))
         results.report()
         if executor is not None:
-            with _scratch(folder) as scratch:
+            # Workers of this machine see its temporary folder, others perhaps not.
+            with _scratch(None if isinstance(executor, LocalWorkers) else folder) as scratch:
                 write_payload(scratch, function, data, int(seed))
-                _compute_by(executor, compute_from_payload, scratch, tasks, results)
+                _compute_by(executor, scratch, tasks, results)
         elif count > 1:
             with _scratch(None) as scratch:
                 write_payload(scratch, function, data, int(seed))
@@ -178,25 +181,42 @@ def _scratch(folder: str | os.PathLike[str] | None) -> Iterator[Path]:
         yield Path(scratch)
 
 
-def _compute_by(
-    executor: Executor, work: Callable[[str, str], str], scratch: Path, tasks: Sequence[Task], results: _Results
-) -> None:
-    """Compute the tasks by ``work(scratch, text)`` on an executor, and record each as it is finished."""
+def _compute_by(executor: Executor, scratch: Path, tasks: Sequence[Task], results: _Results) -> None:
+    """Compute the tasks on an executor whose workers read the payload in ``scratch``; record each as it is finished."""
     pending: dict[Future[str], Task] = {}
     try:
         with deferred_interrupt():
             for key, text in tasks:
-                pending[executor.submit(work, str(scratch), text)] = key, text
+                pending[executor.submit(compute_from_payload, str(scratch), text)] = key, text
         for future in as_completed(pending):
             with deferred_interrupt():
-                results.record(*pending[future], future.result())
+                results.record(*pending[future], _result(future, pending[future][1]))
             results.report()
     except BaseException as error:
         with deferred_interrupt():
             _keep_what_is_finished(pending, results)
-        if isinstance(error, BrokenExecutor) and not isinstance(executor, LocalWorkers):
+        if isinstance(error, BrokenExecutor):
             raise CaseError(f"the executor broke: {one_line(str(error))}") from error
+        if isinstance(error, WorkerError):
+            raise CaseError(str(error)) from error
         raise
+
+
+def _result(future: Future[str], text: str) -> str:
+    """Return what came out of the case ``text``.
+
+    Raises:
+        CaseError: its workers died, or another executor has lost it.
+        HexmapError: what the case raised.
+    """
+    try:
+        return future.result()
+    except WorkerDied as error:
+        raise CaseError(f"case {one_line(text)}: {error}") from error
+    except (HexmapError, BrokenExecutor):
+        raise
+    except Exception as error:  # no case raises anything else
+        raise CaseError(failure(text, error)) from error
 
 
 def _keep_what_is_finished(pending: Mapping[Future[str], Task], results: _Results) -> None:
@@ -211,16 +231,13 @@ def _keep_what_is_finished(pending: Mapping[Future[str], Task], results: _Result
 
 def _compute_by_local_workers(count: int, scratch: Path, tasks: Sequence[Task], results: _Results) -> None:
     try:
-        pool = LocalWorkers(count, scratch)
-    except OSError as error:
-        raise CaseError(f"a worker could not be started: {error.strerror or error}") from error
+        pool = LocalWorkers(count)
+    except WorkerError as error:
+        raise CaseError(str(error)) from error
     try:
-        _compute_by(pool, compute_noted, scratch, tasks, results)
-    except BrokenExecutor as error:
-        raise CaseError(pool.cause_of_death()) from error
+        _compute_by(pool, scratch, tasks, results)
     finally:
-        with deferred_interrupt():
-            pool.stop()
+        pool.stop()
 
 
 # ---------------------------------------------------------------------- plain data

@@ -397,7 +397,8 @@ def parquet_of(path: Path, handle: IO[bytes]) -> Any:
     if not PARQUET.begins(tail):
         raise FormatError(f"{path}: damaged map: the file is cut off at {size} bytes")
     try:
-        file = pq.ParquetFile(handle, page_checksum_verification=True)
+        # Read a row group at a time: in a buffer ahead of them all row groups would stay until the last is read.
+        file = pq.ParquetFile(handle, page_checksum_verification=True, pre_buffer=False)
         groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
         counts = {group.num_rows == group.column(j).num_values for group in groups for j in range(group.num_columns)}
         total = sum(group.num_rows for group in groups)

@@ -93,20 +93,43 @@ class MapRows:
             last = int(level[-1]) if len(level) else last
         return np.cumsum([0, *counts])
 
-    def first_step(self, width: int) -> int | None:
-        """Return the first step along the first index, ``width`` cells of level 0 wide, that may have a row.
+    def spans(self, width: int) -> list[tuple[int, int, int]]:
+        """Return of each row group the first and last step that may have a row of it, and how many rows it has.
 
-        None for a file without rows. Where the file has no statistics that is the first step of all.
+        A step is ``width`` cells of level 0 wide along the first index. Where the file has no statistics that are the
+        first and the last step of all.
         """
-        steps = []
+        spans = []
+        limit = self.lattice.limit
         for group in range(self.file.metadata.num_row_groups):
-            if self.file.metadata.row_group(group).num_rows == 0:
+            rows = self.file.metadata.row_group(group).num_rows
+            if rows == 0:
                 continue
             levels, first = self._range(group), self._range(group, self.names[1])
-            low = -self.lattice.limit if first is None else max(first[0], -self.lattice.limit)
+            low, high = (-limit, limit) if first is None else (max(first[0], -limit), min(first[1], limit))
             widths = range(self.levels) if levels is None else range(max(0, levels[0]), min(levels[1] + 1, self.levels))
-            steps += [low // (width >> k) for k in widths]
-        return min(steps, default=None)
+            # A level that the map does not have is found when the rows are read.
+            at = [width >> k for k in widths] or [width]
+            spans.append((min(low // w for w in at), max(high // w for w in at), rows))
+        return spans
+
+    def first_row(self, begin: int, end: int, low: int) -> int:
+        """Return a row from which on all rows with a first index of ``low`` or more are.
+
+        Row groups before it are passed over by their statistics.
+
+        Args:
+            begin: the first row of a level.
+            end: the first row behind it.
+            low: of the first index.
+        """
+        for group, (first, behind) in enumerate(itertools.pairwise(self.groups().tolist())):
+            if behind <= begin or first >= end:
+                continue
+            span = self._range(group, self.names[1])
+            if span is None or span[1] >= low:
+                return max(begin, first)
+        return end
 
     def _range(self, group: int, name: str = "level") -> tuple[int, int] | None:
         """Return the least and greatest value of a column in a row group, where its statistics say."""
@@ -131,24 +154,24 @@ class RowStream:
 
     Args:
         source: the open file.
-        begin, end: the rows of the level, as :meth:`MapRows.level_ends` has them.
+        begin, end: the rows of the level, as :meth:`MapRows.level_ends` has them, or from a later one on.
         batch: rows at a time.
+        low: keys below are passed over.
+
+    Attributes:
+        taken: how many rows have been taken.
     """
 
-    def __init__(self, source: MapRows, begin: int, end: int, batch: int) -> None:
+    def __init__(self, source: MapRows, begin: int, end: int, batch: int, low: int = _BEFORE_ALL) -> None:
         self._source = source
-        self._begin, self._end, self._batch = begin, end, batch
+        self._begin, self._end, self._batch, self._low = begin, end, batch, low
+        self.taken = 0
         self._batches: Iterator[Any] | None = None
         self._row = begin
         self._skip = 0
         self._last = _BEFORE_ALL
         self._at = 0
         self._run: Run = (_NO_KEYS, _NO_KEYS, _NO_KEYS)
-
-    @property
-    def read(self) -> int:
-        """How many rows have been read."""
-        return self._row - self._begin
 
     def head(self) -> int | None:
         """Return the key of the next row, None at the end."""
@@ -166,6 +189,7 @@ class RowStream:
         """Return the rows in memory whose keys are not beyond ``limit``, and go on behind them."""
         end = int(np.searchsorted(self._run[0], limit, side="right"))
         begin, self._at = self._at, max(self._at, end)
+        self.taken += self._at - begin
         keys, hits, passes = self._run
         return keys[begin : self._at], hits[begin : self._at], passes[begin : self._at]
 
@@ -195,7 +219,7 @@ class RowStream:
             raise FormatError(f"{source.path}: damaged map: {place} {what}")
         self._row += len(hits)
         self._run = run[0][:kept], run[1][:kept], run[2][:kept]
-        self._at = 0
+        self._at = int(np.searchsorted(self._run[0], self._low))
 
     def _next_columns(self) -> list[NDArray[Any]]:
         """Return the columns of the next rows of this level but the level itself; at least one row."""

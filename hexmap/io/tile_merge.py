@@ -1,8 +1,8 @@
 """Merging map files that together are larger than memory into a map of tiles.
 
 The rows of a map are sorted, so nothing needs to be grouped: all maps are read side by side, a batch at a time, and
-their least rows are the next ones of the result. The work goes in steps along the first index, as wide as a tile, and
-level by level within a step; so of each map and level one batch is in memory, and of the result the tiles of one step.
+their least rows are the next ones of the result (:mod:`hexmap.io.merge_part`). The range of the first index is divided
+among worker processes, each of which reads only the row groups that its part of the tiles needs.
 """
 
 from __future__ import annotations
@@ -12,35 +12,50 @@ import itertools
 import os
 import tempfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Executor, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
-from hexmap.base.errors import ArgumentError, BoundsError, LatticeError
+import numpy as np
+
+from hexmap.base.errors import ArgumentError, HexmapError, LatticeError
+from hexmap.base.local_workers import LocalWorkers, WorkerError
+from hexmap.base.text import reason
 from hexmap.io.file_kinds import is_map_folder
 from hexmap.io.map_file import describe, lattice_of, levels_of, texts_of
-from hexmap.io.map_folder import MapFolder
+from hexmap.io.map_folder import MapFolder, Tile
+from hexmap.io.merge_part import Input, Part, merge_part, merge_part_apart, rows_merged
 from hexmap.io.open_map import map_metadata
-from hexmap.io.row_streams import MapRows, RowStream, merged_runs
-from hexmap.io.tile_writer import TileWriter, check_folder, tile_cells, tile_folder
-from hexmap.lattice.keys import layout
+from hexmap.io.row_streams import MapRows
+from hexmap.io.tile_writer import check_folder, tile_cells, tile_folder
 from hexmap.maps.map import Level, Map
 from hexmap.maps.origin import common_logs, logs_in_words
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["merge_maps"]
+__all__ = ["merge_maps", "merge_parts"]
 
 # Maps read side by side; more are merged in groups of as many first. Each has a batch of every level in memory.
 _SIDE_BY_SIDE = 64
 _BATCH, _LEAST_BATCH = 1 << 17, 1 << 13  # rows, of 24 bytes
 _ALL_BATCHES = 1 << 23
+# Parts of a merge for each worker, so that one that is slow or killed holds up little; and how many times the rows that
+# it reads in common with its neighbour a part has at least.
+_PARTS_A_WORKER, _LEAST_PART = 4, 4
+_CLUSTER = 8  # workers that an executor is taken to have
+_REPORT_SECONDS = 0.1
+
+
+Progress: TypeAlias = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class _Input:
-    """A map file, or a tile of a map, and the first step along the first index in which it may have a cell."""
+class _Team:
+    """Who merges: workers of our own, those of another executor, or where there are neither this process."""
 
-    path: Path
-    first: int
+    own: LocalWorkers | None = None
+    other: Executor | None = None
+    workers: int = 1
 
 
 def merge_maps(
@@ -50,7 +65,9 @@ def merge_maps(
     *,
     same_frame: bool = False,
     again: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    workers: int = 1,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
 ) -> MapFolder:
     """Merge maps cell by cell into a folder of tiles; the result has the same cells and counts as :meth:`Map.merge`.
 
@@ -60,40 +77,74 @@ def merge_maps(
         tiles: metres that a tile is wide, about.
         same_frame: take maps of different frames to be in that of the first.
         again: count a log again that is in several of the maps.
-        progress: called as ``progress(rows, total)`` with the rows that have been read, and all.
+        workers: processes of this machine, each of which merges a part of the tiles; one merges in this process. The
+            files are the same for any number.
+        executor: merges instead of ``workers``: any whose workers see the maps and ``output`` under the same paths.
+        progress: called as ``progress(rows, total)`` with the rows that have been merged, and all.
 
     Returns:
         The map written, of which nothing but the manifest is in memory.
 
     Raises:
-        ArgumentError: frames differ, a log would count twice, or ``tiles`` is no positive number.
+        ArgumentError: frames differ, a log would count twice, ``tiles`` is no positive number, or ``workers`` is out of
+            range.
         LatticeError: the lattices or the numbers of levels differ.
         BoundsError: a count would be more than 2^63 - 1.
         FileAccessError, FormatError: a map cannot be read, or the folder cannot be written.
+        WorkerError: three workers that merged the same tiles died, or another executor has lost them.
     """
     sources, target = [Path(p) for p in paths], Path(output)
     if not sources:
         raise ArgumentError("merging takes a map or more")
+    if isinstance(workers, bool) or workers < 1:
+        raise ArgumentError(f"the number of workers must be 1 or larger, not {workers!r}")
     check_folder(target)
     merged = _merged_empty(sources, same_frame, again)
+    merge_parts(sources, target, tiles, merged, progress, workers=workers, executor=executor)
+    return MapFolder.open(target)
+
+
+def merge_parts(
+    sources: Sequence[Path],
+    target: Path,
+    tiles: float,
+    merged: Map,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    executor: Executor | None = None,
+) -> None:
+    """Merge maps that are known to go together into a folder of tiles: arguments and errors as of :func:`merge_maps`.
+
+    ``merged`` is the map that they make, without its cells.
+    """
     cells = tile_cells(merged.lattice, len(merged.levels), tiles)
     with contextlib.ExitStack() as stack:
+        if executor is not None:
+            team = _Team(other=executor, workers=_CLUSTER)
+            # Its workers may have begun in another folder.
+            sources, target = [path.absolute() for path in sources], target.absolute()
+        else:
+            team = _Team(stack.enter_context(LocalWorkers(workers)), workers=workers) if workers > 1 else _Team()
         if len(sources) > _SIDE_BY_SIDE:
             # Beside the output: the folder of the system may be a small one, in memory.
             beside = tempfile.TemporaryDirectory(
                 prefix=".merge-", dir=target.absolute().parent, ignore_cleanup_errors=True
             )
-            sources = _merge_groups(sources, Path(stack.enter_context(beside)), merged, cells)
-        _merge_side_by_side(sources, target, merged, cells, progress)
-    return MapFolder.open(target)
+            sources = _merge_groups(sources, Path(stack.enter_context(beside)), merged, cells, team)
+        _merge_side_by_side(sources, target, merged, cells, team, progress)
 
 
-def _merge_groups(paths: list[Path], scratch: Path, merged: Map, cells: tuple[int, ...]) -> list[Path]:
+def _merge_groups(
+    paths: Sequence[Path], scratch: Path, merged: Map, cells: tuple[int, ...], team: _Team
+) -> list[Path]:
     """Merge maps in groups until so few are left that they can be read side by side."""
-    numbers = itertools.count()
+    numbers, paths = itertools.count(), list(paths)
     while len(paths) > _SIDE_BY_SIDE:
         groups = [paths[i : i + _SIDE_BY_SIDE] for i in range(0, len(paths), _SIDE_BY_SIDE)]
-        paths = [_merge_side_by_side(group, scratch / str(next(numbers)), merged, cells, None) for group in groups]
+        paths = [
+            _merge_side_by_side(group, scratch / str(next(numbers)), merged, cells, team, None) for group in groups
+        ]
     return paths
 
 
@@ -123,100 +174,99 @@ def _merged_empty(paths: Sequence[Path], same_frame: bool, again: bool) -> Map:
 
 
 def _merge_side_by_side(
-    paths: Sequence[Path],
-    output: Path,
-    merged: Map,
-    cells: tuple[int, ...],
-    progress: Callable[[int, int], None] | None,
+    paths: Sequence[Path], output: Path, merged: Map, cells: tuple[int, ...], team: _Team, progress: Progress | None
 ) -> Path:
     """Merge maps that are known to go together into a folder of tiles."""
-    inputs, total = _inputs(paths, cells[0])
-    batch = min(_BATCH, max(_LEAST_BATCH, _ALL_BATCHES // (len(paths) * len(merged.levels))))
-    with tile_folder(output, describe(merged), merged.lattice, cells) as writer:
-        open_maps: list[_Streams] = []
-        done = 0
-        try:
-            while inputs or open_maps:
-                step = min([m.step(cells[0]) for m in open_maps] + [i.first for i in inputs])
-                open_maps += [_Streams(i.path, batch) for i in inputs if i.first <= step]
-                inputs = [i for i in inputs if i.first > step]
-                for level in range(len(merged.levels)):
-                    _merge_level(open_maps, level, step, cells[0] >> level, merged, writer)
-                    if progress is not None:
-                        progress(done + sum(m.read() for m in open_maps), total)
-                writer.end_step()
-                done += sum(m.read() for m in open_maps if m.ended())
-                for m in open_maps:
-                    if m.ended():
-                        m.close()
-                open_maps = [m for m in open_maps if not m.ended()]
-        finally:
-            for m in open_maps:
-                m.close()
+    inputs, spans = _inputs(paths, cells[0])
+    total = sum(rows for _, _, rows in spans)
+    batch = min(_BATCH, max(_LEAST_BATCH, _ALL_BATCHES // (len(paths) * len(merged.levels) * team.workers)))
+    header = describe(merged)
+
+    def report(rows: int) -> None:
+        if progress is not None:
+            progress(rows, total)
+
+    with tile_folder(output, header, merged.lattice, cells) as writer:
+        cuts = _cuts(spans, _number_of_parts(spans, total, len(inputs), team))
+        parts = [
+            Part(tuple(i for i in inputs if i.first < stop and i.last >= first), header, cells, first, stop, batch)
+            for first, stop in itertools.pairwise(cuts)
+        ]
+        if team.workers == 1 or len(parts) < 2:
+            for part in parts:
+                merge_part(part, writer, report)
+        else:
+            writer.tiles += _merge_by(team, parts, writer.folder, report)
+        report(total)  # with those that have neither hits nor passes
     return output
 
 
-def _merge_level(
-    maps: list[_Streams], level: int, step: int, width: int, merged: Map, writer: TileWriter
-) -> None:
-    """Merge what the maps have of a level in a step that is ``width`` cells of the level wide."""
-    bits, offset = layout(merged.lattice.dim)
-    stop = ((step + 1) * width + int(offset[0])) << bits * (merged.lattice.dim - 1)
+def _merge_by(team: _Team, parts: Sequence[Part], scratch: Path, report: Callable[[int], None]) -> list[Tile]:
+    """Merge the parts on workers that see the folder ``scratch``, and return all tiles."""
+    executor = team.own or team.other
+    assert executor is not None
+    futures: list[Future[list[Tile]]] = []
     try:
-        for run in merged_runs([m.streams[level] for m in maps], stop, merged.lattice.dim):
-            writer.add(step, level, run)
-    except BoundsError as error:
-        raise BoundsError(f"level {level} of {', '.join(str(m.path) for m in maps)}: {error}") from error
+        for number, part in enumerate(parts):
+            futures.append(executor.submit(merge_part_apart, part, str(scratch), number))
+        while True:
+            done, left = wait(futures, timeout=_REPORT_SECONDS, return_when=FIRST_EXCEPTION)
+            report(rows_merged(scratch))
+            if not left or any(future.exception() is not None for future in done):
+                # In the order of the parts: of several that failed, the first.
+                return [tile for future in futures if future.done() for tile in future.result()]
+    except BaseException as error:
+        for future in futures:
+            future.cancel()
+        if team.own is not None:
+            team.own.stop()  # before the folder that they write to is removed
+        elif isinstance(error, Exception) and not isinstance(error, HexmapError):
+            raise WorkerError(f"the executor lost a part: {type(error).__name__}: {reason(error)}") from error
+        raise
 
 
-class _Streams:
-    """The rows of all levels of an open map file."""
-
-    def __init__(self, path: Path, batch: int) -> None:
-        self.path = path
-        self._rows = MapRows(path)
-        try:
-            ends = self._rows.level_ends().tolist()
-            self.streams = [RowStream(self._rows, a, b, batch) for a, b in itertools.pairwise(ends)]
-        except BaseException:
-            self.close()
-            raise
-
-    def step(self, width: int) -> int:
-        """Return the first step, ``width`` cells of level 0 wide, in which there is a row left."""
-        bits, offset = layout(self._rows.lattice.dim)
-        shift = bits * (self._rows.lattice.dim - 1)
-        heads = [(stream.head(), width >> level) for level, stream in enumerate(self.streams)]
-        return min(((head >> shift) - int(offset[0])) // w for head, w in heads if head is not None)
-
-    def ended(self) -> bool:
-        """Tell whether no row is left."""
-        return all(stream.head() is None for stream in self.streams)
-
-    def read(self) -> int:
-        """Return how many rows have been read."""
-        return sum(stream.read for stream in self.streams)
-
-    def close(self) -> None:
-        self._rows.close()
+def _number_of_parts(spans: Sequence[tuple[int, int, int]], total: int, files: int, team: _Team) -> int:
+    """Return into how many parts a merge is divided: several a worker, unless they would read too much in common."""
+    if team.workers == 1 or not spans:
+        return 1
+    # At each cut a row group of every file is read twice, and its first rows are only passed over the second time.
+    common = files * total / len(spans)
+    return max(team.workers, min(_PARTS_A_WORKER * team.workers, int(total / (_LEAST_PART * common))))
 
 
-def _inputs(paths: Sequence[Path], width: int) -> tuple[list[_Input], int]:
-    """Return all files to read, and how many rows they have; of a map of tiles a file a tile."""
-    inputs: list[_Input] = []
-    total = 0
+def _cuts(spans: Sequence[tuple[int, int, int]], count: int) -> list[int]:
+    """Return at which steps ``count`` parts of about equally many rows begin, and the last one ends."""
+    if not spans:
+        return []
+    first, last, rows = (np.array(column, np.float64) for column in zip(*spans, strict=True))
+    # The rows of a group lie anywhere in its steps: taken as spread evenly.
+    density = rows / (last + 1 - first)
+    ends, place = np.unique(np.concatenate([first, last + 1]), return_inverse=True)
+    slope = np.cumsum(np.bincount(place, np.concatenate([density, -density])))
+    share = np.concatenate([[0.0], np.cumsum(slope[:-1] * np.diff(ends))])
+    inner = np.rint(np.interp(np.arange(1, count) / count * share[-1], share, ends)).astype(np.int64)
+    begin, end = int(first.min()), int(last.max()) + 1
+    return [begin, *sorted({int(c) for c in inner if begin < c < end}), end]
+
+
+def _inputs(paths: Sequence[Path], width: int) -> tuple[list[Input], list[tuple[int, int, int]]]:
+    """Return all files to read that have rows, of a map of tiles a file a tile, and where their row groups lie."""
+    inputs: list[Input] = []
+    spans: list[tuple[int, int, int]] = []
     for path in paths:
         if is_map_folder(path):
             folder = MapFolder.open(path)
-            inputs += [_Input(path / t.file, t.index[0] * folder.cells[0] // width) for t in folder.tiles]
-            total += folder.rows
+            for t in folder.tiles:
+                begin = t.index[0] * folder.cells[0]
+                inputs.append(Input(path / t.file, begin // width, (begin + folder.cells[0] - 1) // width))
+                spans.append((inputs[-1].first, inputs[-1].last, t.rows))
             continue
         rows = MapRows(path)
         try:
-            total += rows.rows
-            first = rows.first_step(width)
+            found = rows.spans(width)
         finally:
             rows.close()
-        if first is not None:
-            inputs.append(_Input(path, first))
-    return inputs, total
+        if found:
+            inputs.append(Input(path, min(span[0] for span in found), max(span[1] for span in found)))
+            spans += found
+    return inputs, spans

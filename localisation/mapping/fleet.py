@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed
 from dataclasses import dataclass, field
@@ -17,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from hexmap.base.errors import ArgumentError, FileAccessError, FormatError, HexmapError
+from hexmap.base.local_workers import LocalWorkers
 from hexmap.base.text import reason
 from hexmap.base.version import __version__
-from hexmap.experiments.lasting_workers import LastingWorkers
 from hexmap.io.fingerprint import fingerprint
 from hexmap.io.lidar.open_lidar import is_lidar_log, open_lidar
 from hexmap.io.logs.open_log import open_log
@@ -134,12 +133,8 @@ def _results(tasks: list[str], workers: int, executor: Executor | None) -> Itera
     if executor is not None:
         yield from _computed(tasks, executor)
         return
-    with tempfile.TemporaryDirectory(prefix="hexmap-fleet-", ignore_cleanup_errors=True) as scratch:
-        pool = LastingWorkers(min(workers, len(tasks)), Path(scratch))
-        try:
-            yield from _computed(tasks, pool)
-        finally:
-            pool.stop()
+    with LocalWorkers(min(workers, len(tasks))) as pool:
+        yield from _computed(tasks, pool)
 
 
 def _computed(tasks: list[str], executor: Executor) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hexmap.base.errors import ArgumentError
+from hexmap.base.local_workers import LocalWorkers
 from hexmap.experiments.run_cases import run_cases
 from hexmap.io.grids.grid_map import GridMap
 from hexmap.lattice.lattice import Lattice
@@ -53,6 +54,10 @@ def run_benchmark(
     """Compute all cases; arguments and errors are those of :func:`planning_benchmark`."""
     if not maps:
         raise ArgumentError("the benchmark needs at least one map")
+    if executor is None and workers > 1:
+        # They last over all maps and stages: each has to load the kernels of all planners once.
+        with LocalWorkers(workers) as pool:
+            return run_benchmark(maps, settings, folder=folder, executor=pool, progress=progress)
     names = [path.name for path in maps]
     for name in names:
         if names.count(name) > 1:
@@ -86,7 +91,9 @@ def run_benchmark(
         shared = _shared(problems, settings, plan.reach)
         baselines.append(_run_baseline(plan, run, shared))
         optima.append(_run_optimum(plan, run, shared) if problems.grid_map.dim == 2 else None)
-        runs += _joined(number, problems.grid_map.dim, plan.grid_cases, run(grid_case, plan.grid_cases, shared))
+        # The small cells come last and take longest: begun first, no worker is left alone with one of them at the end.
+        found = run(grid_case, plan.grid_cases[::-1], shared)[::-1]
+        runs += _joined(number, problems.grid_map.dim, plan.grid_cases, found)
     free_space: list[FreeSpace] = []
     for dim, cases in open_cases.items():
         bases = [grid.make().basis.tolist() for grid in settings.grids(dim)]

@@ -34,7 +34,7 @@ from hexmap.experiments.statistics import (
     mean,
 )
 from hexmap.maps.metrics import coefficient_of_variation, interquartile_variability
-from tests.observing import PATIENCE, wait_until
+from tests.observing import PATIENCE, children, wait_until
 
 Case = dict[str, Any]
 Shared = Mapping[str, Any]
@@ -349,8 +349,31 @@ def test_a_worker_that_dies_is_noticed() -> None:
     assert "exit code 7" in str(caught.value)
     with pytest.raises(CaseError, match=r'^case {"k":3,"kind":"sys.exit"}: SystemExit: 5$'):
         run_cases(fail, [{"k": 1}, {"k": 3, "kind": "sys.exit"}], workers=2)
-    with pytest.raises(CaseError, match=r"killed by signal 9\); if memory ran out, use fewer workers$"):
+    with pytest.raises(CaseError, match=r"died, 3 times \(killed by signal 9\); if memory ran out, use fewer workers$"):
         run_cases(fail, [{"k": 1}, {"k": 3, "kind": "kill"}, {"k": 60}], workers=2)
+
+
+def die_once(case: Case, rng: np.random.Generator, shared: Shared) -> dict[str, Any]:
+    note = Path(shared["folder"]) / "died"
+    if case["k"] == 5 and not note.exists():
+        note.write_text("")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"k": case["k"], "some": rng.random()}
+
+
+def test_a_worker_that_is_killed_changes_nothing(tmp_path: Path) -> None:
+    cases = [{"k": k} for k in range(20)]
+    journal = tmp_path / "journal"
+    steps: list[tuple[int, int]] = []
+    killed = run_cases(
+        die_once, cases, shared={"folder": str(tmp_path)}, folder=journal, workers=2,
+        progress=lambda *s: steps.append(s),
+    )  # fmt: skip
+    assert (tmp_path / "died").exists()
+    assert steps == [(k, 20) for k in range(21)]
+    assert repr(killed) == repr(run_cases(die_once, cases, shared={"folder": str(tmp_path)}))
+    keys = [json.loads(line)["key"] for line in journals(journal)[0].read_text().splitlines()[1:]]
+    assert len(keys) == len(set(keys)) == 20
 
 
 @pytest.mark.parametrize("kind", ["broken", "exit"])
@@ -428,18 +451,6 @@ SCRIPT = """
             sys.exit(130)
         sys.stdout.write(json.dumps(out))
 """
-
-
-def children(pid: int) -> set[int]:
-    found = set()
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = entry.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == pid:
-            found.add(int(entry.parent.name))
-    return found
 
 
 def runs(pid: int) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import reduce
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 from tests.lattices import CASES, Case
+from tests.observing import PATIENCE, children, wait_until
 
 
 def some_map(lattice: Lattice, seed: int, count: int = 120, levels: int = 3, spread: float = 15.0) -> Map:
@@ -73,6 +76,11 @@ def test_tiles_hold_what_merging_in_memory_gives(case: Case, tmp_path: Path, mon
     merge(paths[:3], tmp_path / "some", metres / 2)
     merge([tmp_path / "some", *paths[3:]], tmp_path / "rest", metres)
     assert contents(tmp_path / "all") == contents(tmp_path / "again") == contents(tmp_path / "rest")
+    # So does any number of workers, each of which merges a part.
+    with ThreadPoolExecutor(3) as executor:
+        merge(paths, tmp_path / "parts", metres, executor=executor)
+        merge([tmp_path / "some", *paths[3:]], tmp_path / "rest", metres, executor=executor)
+    assert contents(tmp_path / "all") == contents(tmp_path / "parts") == contents(tmp_path / "rest")
     # Every tile is a map by itself, as wide as it was to be, and no cell is in two.
     rows = 0
     for tile, part in zip(folder.tiles, folder.maps(list(folder.tiles)), strict=True):
@@ -255,6 +263,7 @@ def test_a_killed_merge_leaves_the_old_map_or_the_new_one(tmp_path: Path) -> Non
     old, new = maps[0], reduce(Map.merge, maps)
     merge(paths[:1], out, 51.2)
     command = [sys.executable, "-m", "hexmap", "merge", *map(str, paths), "-o", str(out), "--tiles", "51.2"]
+    command += ["--workers", "2"]
     begin = time.monotonic()
     subprocess.run(command, check=True, capture_output=True)
     whole = time.monotonic() - begin
@@ -270,6 +279,79 @@ def test_a_killed_merge_leaves_the_old_map_or_the_new_one(tmp_path: Path) -> Non
         assert open_map(out) in (old, new)
     merge(paths, out, 51.2)
     assert contents(out) == reference
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_workers_killed_or_not_write_the_same_tiles(tmp_path: Path) -> None:
+    maps = [some_map(Lattice.named("A2", 0.1), seed, 20_000, spread=200.0) for seed in range(3)]
+    paths = saved(tmp_path, maps)
+    merge(paths, tmp_path / "one", 25.6)
+    steps: list[tuple[int, int]] = []
+    with ThreadPoolExecutor(1) as thread:
+        killed = thread.submit(kill_a_worker)
+        merge(paths, tmp_path / "two", 25.6, workers=2, progress=lambda *now: steps.append(now))
+        assert killed.result(timeout=PATIENCE) not in children(os.getpid())
+    assert contents(tmp_path / "two") == contents(tmp_path / "one")
+    rows = sum(len(level.columns()[0]) for map in maps for level in map.levels)
+    assert steps == sorted(steps) and steps[-1] == (rows, rows)
+    assert main(["merge", *map(str, paths), "-o", str(tmp_path / "one.parquet"), "--workers", "2"]) == 2
+    assert main(["merge", *map(str, paths), "-o", str(tmp_path / "one"), "--tiles", "3.2", "--workers", "0"]) == 2
+
+
+def kill_a_worker() -> int:
+    """Kill a process that this one starts to merge, as soon as it has opened what it needs for that."""
+
+    def one_that_merges() -> int | None:
+        for pid in sorted(children(os.getpid())):
+            with contextlib.suppress(OSError):
+                if "pyarrow" in Path(f"/proc/{pid}/maps").read_text():
+                    return pid
+        return None
+
+    pid = wait_until(one_that_merges)
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    return pid
+
+
+def test_parts_find_rows_out_of_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexmap.io.map_file._GROUP", 20)
+    (path,) = saved(tmp_path, [some_map(Lattice.named("A2", 0.1), 1, levels=1)])
+    table = pq.read_table(path)
+    # The row groups of the file in another order, each of them sorted: a part that begins in the middle passes over
+    # those before it.
+    for swap in ((0, 3), (2, 4), (1, 5)):
+        order = list(range(len(table) // 20))
+        order[swap[0]], order[swap[1]] = order[swap[1]], order[swap[0]]
+        with pq.ParquetWriter(tmp_path / "bad.parquet", table.schema) as writer:
+            for k in order:
+                writer.write_table(table.slice(20 * k, 20))
+        with (
+            ThreadPoolExecutor(2) as executor,
+            pytest.raises(FormatError, match=r"bad.parquet: damaged map: row .* is not sorted"),
+        ):
+            merge([tmp_path / "bad.parquet"], tmp_path / "all", 0.4, executor=executor)
+        assert not (tmp_path / "all").exists()
+
+
+def test_a_part_reads_the_row_groups_that_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hexmap.io.map_file._GROUP", 20)
+    (path,) = saved(tmp_path, [some_map(Lattice.named("A2", 0.1), 1, levels=1)])
+    metadata = pq.read_metadata(path)
+    assert metadata.num_row_groups >= 5
+    content = bytearray(path.read_bytes())
+    column = metadata.row_group(0).column(1)  # the first of all pages with indices
+    content[column.data_page_offset : column.data_page_offset + column.total_compressed_size] = bytes(
+        column.total_compressed_size
+    )
+    path.write_bytes(content)
+    rows = row_streams.MapRows(path)
+    (begin, end), low = rows.level_ends().tolist(), metadata.row_group(2).column(1).statistics.max
+    later = row_streams.RowStream(rows, rows.first_row(begin, end, low), end, 37)
+    assert later.head() is not None and len(later.take(later.last())[0]) == min(37, end - 40)
+    with pytest.raises(FormatError, match="damaged map"):
+        row_streams.RowStream(rows, rows.first_row(begin, end, -1000), end, 37).head()
+    rows.close()
 
 
 def test_streams_take_rows_of_files_without_statistics(tmp_path: Path) -> None:

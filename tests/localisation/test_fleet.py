@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from hexmap.cli import main
 from hexmap.io.map_file import load_map
 from localisation.mapping.fleet import build_fleet, map_names
 from localisation.settings import MappingSettings
+from tests.observing import PATIENCE, children, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +80,35 @@ def test_maps_are_called_as_their_logs() -> None:
     assert names == ["b.parquet", "c.parquet", "folder.parquet"]
     with pytest.raises(ArgumentError, match="maps of one name"):
         map_names([Path("a/b.clf"), Path("c/b.bag")])
+
+
+def kill_a_worker_that_maps() -> int:
+    """Kill a worker of this process that has begun to map: it has what compiles kernels in memory."""
+
+    def one_that_maps() -> int | None:
+        for pid in sorted(children(os.getpid())):
+            with contextlib.suppress(OSError):
+                if "llvmlite" in Path(f"/proc/{pid}/maps").read_text():
+                    return pid
+        return None
+
+    pid = wait_until(one_that_maps)
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    return pid
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
+def test_a_killed_worker_costs_its_log_a_second_attempt(logs: list[Path], tmp_path: Path) -> None:
+    settings = MappingSettings(lattice="Z2", resolution=0.1)
+    alone = build_fleet(logs[:2], tmp_path / "one", settings, loop_closure=False)
+    expected = [path.read_bytes() for path in alone.built]
+    with ThreadPoolExecutor(1) as thread:
+        killed = thread.submit(kill_a_worker_that_maps)
+        fleet = build_fleet(logs[:2], tmp_path / "two", settings, loop_closure=False, workers=2)
+        assert killed.result(timeout=PATIENCE) not in children(os.getpid())
+    assert not fleet.failed
+    assert [path.read_bytes() for path in fleet.built] == expected
 
 
 @pytest.mark.long
