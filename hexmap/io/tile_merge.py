@@ -27,7 +27,7 @@ from hexmap.maps.map import Level, Map
 from hexmap.maps.origin import common_logs, logs_in_words
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["merge_maps"]
+__all__ = ["merge_maps", "merge_parts"]
 
 # Maps read side by side; more are merged in groups of as many first. Each has a batch of every level in memory.
 _SIDE_BY_SIDE = 64
@@ -75,7 +75,21 @@ def merge_maps(
     if not sources:
         raise ArgumentError("merging takes a map or more")
     check_folder(target)
-    merged = _merged_empty(sources, same_frame, again)
+    merge_parts(sources, target, tiles, _merged_empty(sources, same_frame, again), progress)
+    return MapFolder.open(target)
+
+
+def merge_parts(
+    sources: Sequence[Path],
+    target: Path,
+    tiles: float,
+    merged: Map,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Merge maps that are known to go together into a folder of tiles: arguments and errors as of :func:`merge_maps`.
+
+    ``merged`` is the map that they make, without its cells.
+    """
     cells = tile_cells(merged.lattice, len(merged.levels), tiles)
     with contextlib.ExitStack() as stack:
         if len(sources) > _SIDE_BY_SIDE:
@@ -85,12 +99,11 @@ def merge_maps(
             )
             sources = _merge_groups(sources, Path(stack.enter_context(beside)), merged, cells)
         _merge_side_by_side(sources, target, merged, cells, progress)
-    return MapFolder.open(target)
 
 
-def _merge_groups(paths: list[Path], scratch: Path, merged: Map, cells: tuple[int, ...]) -> list[Path]:
+def _merge_groups(paths: Sequence[Path], scratch: Path, merged: Map, cells: tuple[int, ...]) -> list[Path]:
     """Merge maps in groups until so few are left that they can be read side by side."""
-    numbers = itertools.count()
+    numbers, paths = itertools.count(), list(paths)
     while len(paths) > _SIDE_BY_SIDE:
         groups = [paths[i : i + _SIDE_BY_SIDE] for i in range(0, len(paths), _SIDE_BY_SIDE)]
         paths = [_merge_side_by_side(group, scratch / str(next(numbers)), merged, cells, None) for group in groups]
