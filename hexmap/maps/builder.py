@@ -150,7 +150,12 @@ class MapBuilder:
         return sum(counter.nbytes for counter in self._counters)
 
     def take_rows(self) -> LevelRows:
-        """Yield the rows of all levels, and give the memory of each level back when its rows are taken."""
+        """Yield the rows of all levels, and give the memory of each level back when its rows are taken.
+
+        Who followed a counter is told nothing more.
+        """
+        for counter in self._counters:
+            counter.forget_followers()
         for k, counter in enumerate(self._counters):
             for rows in counter.rows():
                 yield k, rows

@@ -185,6 +185,11 @@ class CellCounter:
         if len(hits):
             follower(hits.index.astype(np.int64), counts)
 
+    def forget_followers(self) -> None:
+        """Tell nobody any more, and let go of what those who followed hold."""
+        self._followers.clear()
+        self._arrays = self._arrays._replace(journal=np.empty(0, np.int64))
+
     def _tell(self) -> None:
         from hexmap.maps import _counter_kernels as kernels
 
