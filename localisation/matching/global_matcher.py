@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
@@ -108,7 +109,7 @@ class GlobalMatcher:
         (0, True, True)
     """
 
-    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | None = None) -> None:
+    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | IndexBox | None = None) -> None:
         """Prepare the tables of the lattice and of the cells in which the sensor may be."""
         self.pyramid = pyramid
         self.lattice = pyramid.lattice

@@ -10,6 +10,7 @@ import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.pyramid import OccupancyPyramid, cell_reach
 from localisation.matching.search_region import SearchRegion
@@ -25,14 +26,15 @@ class SearchSpace:
 
     Args:
         pyramid: the weights of the map's cells.
-        known: the cells in which the sensor may be; None: anywhere in the box around the weights.
+        known: the cells in which the sensor may be, or the box of all of them; None: anywhere in the box around the
+            weights.
 
     Attributes:
         low: (n,) the lowest indices of those cells.
         high: (n,) the highest.
     """
 
-    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | None) -> None:
+    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | IndexBox | None) -> None:
         """Prepare the tables of the lattice and of the cells in which the sensor may be."""
         from localisation.matching import _global_kernels as kernels
         from localisation.matching import _pyramid_kernels
@@ -53,16 +55,19 @@ class SearchSpace:
             self.low, self.high = pyramid.low, pyramid.high
             self.allowed = (np.zeros(0, np.uint8), self.low, np.zeros(1, np.int64), np.zeros((1, n), np.int64))
         else:
-            index = known.index.astype(np.int64)
-            self.low = index.min(axis=0) if len(index) else np.zeros(n, np.int64)
-            self.high = index.max(axis=0) if len(index) else np.zeros(n, np.int64)
+            index = np.empty((0, n), np.int64)
+            if isinstance(known, IndexBox):
+                self.low, self.high = known.low, known.low + known.shape - 1
+            else:
+                index = known.index.astype(np.int64)
+                self.low = index.min(axis=0) if len(index) else np.zeros(n, np.int64)
+                self.high = index.max(axis=0) if len(index) else np.zeros(n, np.int64)
             shapes = [((self.high - self.low) >> level) + 1 for level in range(pyramid.levels + 1)]
-            marked = []
+            starts = np.cumsum([0, *[math.prod(int(s) for s in shape) for shape in shapes]])
+            marked = np.full(starts[-1], isinstance(known, IndexBox), np.uint8)
             for level, shape in enumerate(shapes):
-                marked.append(np.zeros(math.prod(int(s) for s in shape), np.uint8))
-                _pyramid_kernels.mark_blocks(index, self.low, level, shape, marked[-1])
-            starts = np.cumsum([0, *[len(m) for m in marked[:-1]]])
-            self.allowed = (np.concatenate(marked), self.low, starts, np.array(shapes))
+                _pyramid_kernels.mark_blocks(index, self.low, level, shape, marked[starts[level] : starts[level + 1]])
+            self.allowed = (marked, self.low, starts[:-1], np.array(shapes))
         self.scratch = threading.local()
 
 
