@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,11 +73,11 @@ def check_tiled(tiles: float | None, several: bool, going_on: bool, grows: bool)
             )
 
 
-def map_store(output: Path, tiles: float | None) -> AbstractContextManager[FileStore | FolderStore]:
+def map_store(output: Path, tiles: float | None) -> FileStore | FolderStore:
     """Return what takes the map, to be entered before the work."""
     from hexmap.io.map_store import FileStore, FolderStore
 
-    return nullcontext(FileStore(output)) if tiles is None else FolderStore(output, tiles)
+    return FileStore(output) if tiles is None else FolderStore(output, tiles)
 
 
 def kept(made: Map | StoredMap, output: Path) -> StoredMap:

@@ -1,21 +1,23 @@
 """Where the map of a builder goes as its rows come, so that a large one is never whole in memory.
 
-A store begins with the builder and ends with it. That of a file takes the rows at the end. That of a folder of tiles
-takes them whenever they are more than a budget, as sorted parts in a hidden folder beside its own; at the end the parts
-are merged. Counts add, so the map is the same as if it had been saved in one piece.
+A store begins with the builder and ends with it. It takes the rows whenever they are more than a budget, as sorted
+parts in a hidden folder beside its own file or folder; at the end the parts are merged. Counts add, so the map is the
+same as if it had been saved in one piece.
 """
 
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import shutil
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,7 +27,7 @@ from hexmap.base.text import reason
 from hexmap.io.map_file import describe, write_rows
 from hexmap.io.map_folder import MapFolder
 from hexmap.io.open_map import open_map
-from hexmap.io.tile_merge import merge_parts
+from hexmap.io.tile_merge import SIDE_BY_SIDE, merge_parts, merged_rows
 from hexmap.io.tile_writer import check_folder, check_tiles, locked
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.builder import LevelRows, MapBuilder
@@ -66,85 +68,29 @@ class StoredMap:
         return open_map(self.path)
 
 
-class MapStore(Protocol):
-    """What takes the map of a builder.
-
-    Attributes:
-        seconds: that it has spent on writing so far.
-    """
-
-    seconds: float
-
-    def begin(self, builder: MapBuilder) -> None:
-        """See a builder before its first scan: what it holds may be taken from it from now on."""
-
-    def finish(self, builder: MapBuilder, source: Mapping[str, Any]) -> StoredMap:
-        """Write the map, and leave the builder empty; ``source`` is where the scans came from.
-
-        Raises:
-            FileAccessError: it cannot be written.
-        """
-
-
-class FileStore:
-    """Writes the map as one file, with the same bytes as :func:`~hexmap.io.map_file.save_map`."""
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Say which file is made or replaced."""
-        self.path = Path(path)
-        self.seconds = 0.0
-
-    def begin(self, builder: MapBuilder) -> None:
-        """Take nothing before the end: the rows of a file are sorted."""
-
-    def finish(self, builder: MapBuilder, source: Mapping[str, Any]) -> StoredMap:
-        """Write the map."""
-        begin = time.monotonic()
-        empty = builder.empty_map(source=source)
-        hit_cells = 0
-
-        def counted() -> LevelRows:
-            nonlocal hit_cells
-            for level, rows in builder.take_rows():
-                hit_cells += int(np.count_nonzero(rows[1])) if level == 0 else 0
-                yield level, rows
-
-        with atomic_write(self.path) as handle:
-            write_rows(handle, describe(empty), empty.lattice.dim, counted())
-        self.seconds += time.monotonic() - begin
-        return StoredMap(self.path, empty.lattice, len(empty.levels), hit_cells)
-
-
-class FolderStore:
-    """Writes the map as a folder of tiles, as :func:`~hexmap.io.tile_merge.merge_maps` makes it of the saved file.
+class MapStore(ABC):
+    """Takes the rows of a builder whenever they are more than a budget, as sorted parts in a hidden folder.
 
     It is entered before the work and left after it: then what it has spilled is removed, however the work ended. What a
-    run that was killed has left beside the folder is removed by the next one.
+    run that was killed has left is removed by the next one.
 
-    Args:
-        path: the folder to make or to replace.
-        tiles: metres that a tile is wide, about.
-        budget: bytes of counts that a builder holds before they are spilled.
-
-    Raises:
-        ArgumentError: ``tiles`` is no positive number.
-        FileAccessError: the folder holds something else, or cannot be made.
+    Attributes:
+        path: of the map.
+        parts: what has been spilled.
+        seconds: spent on writing so far.
     """
 
-    def __init__(self, path: str | os.PathLike[str], tiles: float, budget: int = _BUDGET) -> None:
-        """Check the folder; nothing is written yet."""
-        check_tiles(tiles)
-        self.path, self._tiles, self._budget = Path(path), tiles, budget
-        check_folder(self.path)
+    def __init__(self, path: str | os.PathLike[str], budget: int) -> None:
+        """Write nothing yet."""
+        self.path, self._budget = Path(path), budget
         self.seconds = 0.0
         self.parts: list[Path] = []
         self._stack = contextlib.ExitStack()
         self._scratch: Path | None = None
-        self._empty: Map | None = None
 
-    def __enter__(self) -> FolderStore:
+    def __enter__(self) -> Self:
         """Remove what earlier runs have left."""
-        for left in self._hidden().parent.glob(f"{self._hidden().name}*"):
+        for left in self._hidden().parent.glob(f"{glob.escape(self._hidden().name)}*"):
             # Another run that is still at work holds the lock of its own.
             with contextlib.suppress(FileAccessError, OSError), locked(left):
                 shutil.rmtree(left, ignore_errors=True)
@@ -159,28 +105,28 @@ class FolderStore:
 
     def begin(self, builder: MapBuilder) -> None:
         """Take the rows of the builder whenever they are more than the budget."""
-        self._empty = builder.empty_map()
-        builder.spill(self._spill, self._budget)
+        builder.spill(lambda rows: self._spill(rows, builder.empty_map()), self._budget)
 
+    @abstractmethod
     def finish(self, builder: MapBuilder, source: Mapping[str, Any]) -> StoredMap:
-        """Write the tiles; the manifest comes last."""
-        empty = self._empty = builder.empty_map(source=source)
-        self._spill(builder.take_rows())
-        begin = time.monotonic()
-        merge_parts(self.parts, self.path, self._tiles, empty)
-        folder = MapFolder.open(self.path)
-        self.seconds += time.monotonic() - begin
-        hit_cells = folder.totals()[0]["hit_cells"]
-        return StoredMap(self.path, empty.lattice, len(empty.levels), hit_cells, len(folder.tiles))
+        """Write the map, and leave the builder empty.
+
+        Args:
+            builder: of all scans.
+            source: where they came from.
+
+        Raises:
+            FileAccessError: it cannot be written.
+            BoundsError: a count would be more than 2^63 - 1.
+        """
 
     def _hidden(self) -> Path:
         """Return what the names of hidden folders begin with."""
         target = self.path.absolute()
         return target.with_name(f".{target.name[:100]}.parts-")
 
-    def _spill(self, rows: LevelRows) -> None:
-        """Write rows as the next part."""
-        assert self._empty is not None
+    def _spill(self, rows: LevelRows, empty: Map, name: str | None = None) -> None:
+        """Write rows as the next part; ``empty`` is their map without its cells."""
         begin = time.monotonic()
         try:
             if self._scratch is None:
@@ -189,12 +135,89 @@ class FolderStore:
                 self._scratch.mkdir()
                 self._stack.callback(shutil.rmtree, self._scratch, ignore_errors=True)
                 self._stack.enter_context(locked(self._scratch))
-            part = self._scratch / f"{len(self.parts)}.parquet"
+            part = self._scratch / (name or f"{len(self.parts)}.parquet")
             with open(part, "wb") as handle:
-                write_rows(handle, describe(self._empty), self._empty.lattice.dim, rows)
+                write_rows(handle, describe(empty), empty.lattice.dim, rows)
         except OSError as error:
             if isinstance(error, FileAccessError):
                 raise
             raise FileAccessError(f"{self.path}: cannot be written: {reason(error)}") from error
         self.parts.append(part)
         self.seconds += time.monotonic() - begin
+
+
+class FileStore(MapStore):
+    """Writes the map as one file, with the same bytes as :func:`~hexmap.io.map_file.save_map`.
+
+    Args:
+        path: the file to make or to replace.
+        budget: bytes of counts that a builder holds before they are spilled.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], budget: int = _BUDGET) -> None:
+        """Write nothing yet."""
+        super().__init__(path, budget)
+
+    def begin(self, builder: MapBuilder) -> None:
+        """Take the rows of the builder whenever they are more than the budget; not beside a device."""
+        if self.path.is_file() or not self.path.exists():
+            super().begin(builder)
+
+    def finish(self, builder: MapBuilder, source: Mapping[str, Any]) -> StoredMap:
+        """Write the map."""
+        empty = builder.empty_map(source=source)
+        if self.parts:
+            self._spill(builder.take_rows(), empty)
+        while len(self.parts) > SIDE_BY_SIDE:
+            groups = [self.parts[i : i + SIDE_BY_SIDE] for i in range(0, len(self.parts), SIDE_BY_SIDE)]
+            self.parts = []
+            for group in groups:
+                self._spill(merged_rows(group), empty, f"of_{group[0].name}")
+                for part in group:
+                    part.unlink()
+        begin = time.monotonic()
+        rows = merged_rows(self.parts) if self.parts else builder.take_rows()
+        hit_cells = 0
+
+        def counted() -> LevelRows:
+            nonlocal hit_cells
+            for level, some in rows:
+                hit_cells += int(np.count_nonzero(some[1])) if level == 0 else 0
+                yield level, some
+
+        with atomic_write(self.path) as handle:
+            write_rows(handle, describe(empty), empty.lattice.dim, counted())
+        self.seconds += time.monotonic() - begin
+        return StoredMap(self.path, empty.lattice, len(empty.levels), hit_cells)
+
+
+class FolderStore(MapStore):
+    """Writes the map as a folder of tiles, as :func:`~hexmap.io.tile_merge.merge_maps` makes it of the saved file.
+
+    Args:
+        path: the folder to make or to replace.
+        tiles: metres that a tile is wide, about.
+        budget: bytes of counts that a builder holds before they are spilled.
+
+    Raises:
+        ArgumentError: ``tiles`` is no positive number.
+        FileAccessError: the folder holds something else, or cannot be made.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], tiles: float, budget: int = _BUDGET) -> None:
+        """Check the folder; nothing is written yet."""
+        super().__init__(path, budget)
+        check_tiles(tiles)
+        check_folder(self.path)
+        self._tiles = tiles
+
+    def finish(self, builder: MapBuilder, source: Mapping[str, Any]) -> StoredMap:
+        """Write the tiles; the manifest comes last."""
+        empty = builder.empty_map(source=source)
+        self._spill(builder.take_rows(), empty)
+        begin = time.monotonic()
+        merge_parts(self.parts, self.path, self._tiles, empty)
+        folder = MapFolder.open(self.path)
+        self.seconds += time.monotonic() - begin
+        hit_cells = folder.totals()[0]["hit_cells"]
+        return StoredMap(self.path, empty.lattice, len(empty.levels), hit_cells, len(folder.tiles))

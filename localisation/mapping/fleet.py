@@ -186,14 +186,13 @@ def map_log(task: str) -> dict[str, Any]:
 
 def _map_into(path: Path, log: Path, what: dict[str, Any]) -> list[str]:
     """Write the map of a log; returns what was odd about it."""
-    store = FileStore(path)
-    if what["space"]:
-        space = LidarSettings.from_dict(what["settings"])
-        return build_lidar_map(open_lidar(log, space.log), space, close=what["close"], store=store).warnings
-    settings = MappingSettings.from_dict(what["settings"])
-    source = open_log(log, settings.log)
-    build = build_loop_closed_map if what["close"] else build_map
-    return build(source, settings, store=store).warnings
+    with FileStore(path) as store:
+        if what["space"]:
+            space = LidarSettings.from_dict(what["settings"])
+            return build_lidar_map(open_lidar(log, space.log), space, close=what["close"], store=store).warnings
+        settings = MappingSettings.from_dict(what["settings"])
+        build = build_loop_closed_map if what["close"] else build_map
+        return build(open_log(log, settings.log), settings, store=store).warnings
 
 
 def _fits(path: Path, log: Path, settings: dict[str, Any], close: bool) -> bool:
