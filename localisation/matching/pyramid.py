@@ -256,6 +256,10 @@ class OccupancyPyramid:
             self._sheets[level] = make_sheet(index, steps, level_windows(self.lattice, level), level, beyond)
         return self._sheets[level]
 
+    def forget_sheets(self) -> None:
+        """Give back the memory of all sheets; they are made again when they are asked for."""
+        self._sheets.clear()
+
     def _reaching(self, grid: _Grid, start: int, margin: int, length: int) -> NDArray[np.int32]:
         """Return what each index from ``margin`` before the box on adds to the address, (n, length)."""
         n = self.lattice.dim
