@@ -212,7 +212,7 @@ class LoopCloser(LoopSearch):
         """Search a submap in the window of so many metres and radians to both sides of a pose (3,)."""
         sides, yaw = window
         low, high = pose[:2] - sides, pose[:2] + sides
-        matcher = GlobalMatcher(pyramid, box_of_cells(pyramid.lattice, low, high))
+        matcher = GlobalMatcher(pyramid, box_of_cells(pyramid.lattice, low, high), self._cells.scratch)
         return matcher.match(
             some_points(new.points, _MOST_POINTS),
             SearchRegion(low, high, float(pose[2]), yaw),

@@ -30,6 +30,7 @@ from localisation.matching.global_matcher import thin
 from localisation.matching.occupancy import Occupancy
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
+from localisation.matching.search_space import Scratch
 from localisation.slam import planar
 
 __all__ = ["Cells", "CompactScan", "Stretch", "Submap", "SubmapCells", "compact", "in_view", "make_stretch"]
@@ -278,6 +279,7 @@ class SubmapCells:
         self.lattice, self.wide = searched, searched.scaled(2.0)
         self.fine, self._rule, self.scan_of, self._kept = fine, rule, scan_of, kept
         self._cells: OrderedDict[int, Cells] = OrderedDict()
+        self.scratch = Scratch(sparse=True)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the cells, which are made again when they are asked for, and who gives the scans."""
@@ -296,8 +298,9 @@ class SubmapCells:
         return self._cells[submap.number]
 
     def forget(self) -> None:
-        """Give back the memory of all cells; they are made again when they are asked for."""
+        """Give back the memory of all cells and of what searched in them; both are made again when they are needed."""
         self._cells.clear()
+        self.scratch.give_back()
 
     def passed(self, submap: Submap) -> VoxelList:
         """Return the cells without a wall that beams of some of a submap's scans went through."""

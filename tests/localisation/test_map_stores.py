@@ -1,4 +1,4 @@
-"""Maps of logs that go through a store are the maps made in memory: in the plane and in space, given poses and loops."""
+"""Maps of logs that go through a store are those made in memory: in the plane and in space, given poses and loops."""
 
 from __future__ import annotations
 
