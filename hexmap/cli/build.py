@@ -33,7 +33,7 @@ from hexmap.cli.log_options import (
     ScanTopic,
     log_values,
 )
-from hexmap.cli.stores import check_map_outputs, check_tiled, kept, map_store, stored_words
+from hexmap.cli.stores import check_map_outputs, check_tiled, map_store, stored_words, written
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -391,11 +391,13 @@ def _map_logs(
     sources: list[Any], settings: MappingSettings, old: Map | None, checkpoint: Path | None, on_pose: Any, store: Any
 ) -> MappingResult:
     """Map one log after the other, each found in the map of those before; ``store`` takes the map of a single one."""
+    from hexmap.base.memory import return_freed_arrays
     from localisation.mapping.add_run import add_run
     from localisation.mapping.align import pose_words
     from localisation.mapping.checkpoint import checkpoints_of
     from localisation.mapping.loop_closed_map import build_loop_closed_map
 
+    return_freed_arrays()
     kept = checkpoints_of(checkpoint, len(sources))
     result: MappingResult | None = None
     world = old
@@ -469,7 +471,7 @@ def build_and_report(
                         source, given, settings, associate=how, on_pose=on_pose, progress=progress, store=store
                     )
         seconds = time.monotonic() - begin - store.seconds
-        stored = kept(result.made, output)
+        stored = written(result.made, output)
     if checkpoint is not None:
         forget(checkpoint, len(sources))
     for text in result.warnings:

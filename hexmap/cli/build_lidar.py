@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexmap.cli.console import first_run_note, mount_words, progress_line, say, warn, wrote
-from hexmap.cli.stores import kept, map_store, stored_words
+from hexmap.cli.stores import map_store, stored_words, written
 
 if TYPE_CHECKING:
     from hexmap.io.lidar.lidar_log import LidarLog
@@ -103,7 +103,7 @@ def build_lidar(
                 sources[0], given, settings, associate=associate, on_pose=on_pose, phase=progress_line, store=store
             )
             _report(sources[0], result, time.monotonic() - begin - store.seconds)
-        stored = kept(result.made, outputs.map)
+        stored = written(result.made, outputs.map)
     if checkpoint is not None:
         forget(checkpoint, len(sources))
     wrote(outputs.map, stored_words(stored))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hexmap.io.map_store import FileStore, FolderStore, StoredMap
     from hexmap.maps.map import Map
 
-__all__ = ["check_map_outputs", "check_tiled", "kept", "map_store", "stored_words"]
+__all__ = ["check_map_outputs", "check_tiled", "map_store", "stored_words", "written"]
 
 
 def check_map_outputs(output: Path, tiles: float | None, others: dict[str, Path | None], inputs: list[Path]) -> None:
@@ -80,7 +80,7 @@ def map_store(output: Path, tiles: float | None) -> FileStore | FolderStore:
     return FileStore(output) if tiles is None else FolderStore(output, tiles)
 
 
-def kept(made: Map | StoredMap, output: Path) -> StoredMap:
+def written(made: Map | StoredMap, output: Path) -> StoredMap:
     """Return the map as it has been written, having written it where it has not been."""
     from hexmap.io.map_file import save_map
     from hexmap.io.map_store import StoredMap
