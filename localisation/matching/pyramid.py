@@ -33,8 +33,8 @@ __all__ = [
     "most_spread",
 ]
 
-# Tiles of 4096 entries: those that are never written cost no memory.
-_TILE_BITS = {2: 6, 3: 4}
+# Tiles of 1024 or 4096 entries, in the plane one page of memory: those that are never written cost nothing.
+_TILE_BITS = {2: 5, 3: 4}
 _MOST_ENTRIES = 1 << 31
 # Tables are in small pages from so many bytes on where cells lie in fewer than one of so many tiles: large pages would
 # hold them whole. A submap that sees far over open ground touches a fifth of its tables.
