@@ -261,6 +261,7 @@ class Slam:
         self._link(submap, number, motion, match is not None)
         if self.closer.look(before):
             self.graph.optimise()
+        self._cells.scratch.give_back()
         self._follow(local)
 
     def _stretch(self, first: int, last: int, motion: FloatArray) -> Stretch:

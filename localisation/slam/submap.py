@@ -41,9 +41,10 @@ _FREE_SCANS = 8
 _NEAR = 0.98
 # Levels of a pyramid that windows of so many cells need: its tables are most of a submap's memory.
 SMALL_LEVELS = 3
-# Of the submaps that were asked for last so many keep their sheets, each as large as the rest of it: on the campus of
-# Freiburg half of the sheets that are asked for again are younger.
-_WITH_SHEETS = 5
+# So many submaps, those that were asked for last, are kept as cells: out of doors each takes 10 MB at 0.05 m. Half as
+# many again would save a quarter of what is made again. The last ones keep their sheets, too, which are as large: half
+# of the sheets that are asked for again are younger.
+_KEPT, _WITH_SHEETS = 8, 5
 SMALL_WINDOW = 64
 
 
@@ -273,7 +274,7 @@ class SubmapCells:
         searched: Lattice,
         rule: StateRule,
         scan_of: Callable[[int], tuple[Scan, Pose]],
-        kept: int = 12,
+        kept: int = _KEPT,
     ) -> None:
         """Take the lattices, and what gives a scan by its number with its pose T_node_sensor seen from its node."""
         self.lattice, self.wide = searched, searched.scaled(2.0)
