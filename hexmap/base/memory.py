@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-__all__ = ["return_freed_arrays"]
+__all__ = ["return_free_memory", "return_freed_arrays"]
 
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
 _LARGE = 1 << 20
@@ -20,10 +20,21 @@ def return_freed_arrays() -> None:
     holds for the whole process. Where the user has set the limit in the environment, or the system has no such limit,
     nothing happens.
     """
-    if not sys.platform.startswith("linux") or "MALLOC_MMAP_THRESHOLD_" in os.environ:
+    if "MALLOC_MMAP_THRESHOLD_" not in os.environ:
+        _call("mallopt", _MMAP_THRESHOLD, _LARGE)
+
+
+def return_free_memory() -> None:
+    """Give back to the system what lies free between small objects, where it can be asked for: some milliseconds."""
+    _call("malloc_trim", 0)
+
+
+def _call(name: str, *numbers: int) -> None:
+    """Call a function of glibc; of another library, nothing."""
+    if not sys.platform.startswith("linux"):
         return
     import ctypes
 
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(ctypes.c_int(_MMAP_THRESHOLD), ctypes.c_int(_LARGE))
+    function = getattr(ctypes.CDLL(None), name, None)
+    if function is not None:
+        function(*numbers)

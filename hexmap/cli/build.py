@@ -33,7 +33,7 @@ from hexmap.cli.log_options import (
     ScanTopic,
     log_values,
 )
-from hexmap.cli.stores import check_map_outputs, check_tiled, map_store, stored_words, written
+from hexmap.cli.stores import check_map_outputs, check_tiled, map_store, phase, stored_words, written
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -405,7 +405,7 @@ def _map_logs(
         begun = None if checkpoints is None else checkpoints.readings()
         if checkpoints is not None and begun is not None:
             say(f"{source.path}: goes on after {begun:,} readings, which {checkpoints.path} holds")
-        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": phase, "checkpoints": checkpoints}
         if world is None:
             new = build_loop_closed_map(source, settings, **how, store=store if len(sources) == 1 else None)
         else:

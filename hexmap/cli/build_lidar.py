@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexmap.cli.console import first_run_note, mount_words, progress_line, say, warn, wrote
-from hexmap.cli.stores import map_store, stored_words, written
+from hexmap.cli.stores import map_store, phase, stored_words, written
 
 if TYPE_CHECKING:
     from hexmap.io.lidar.lidar_log import LidarLog
@@ -147,7 +147,7 @@ def _map_logs(
         begin = time.monotonic()
         if checkpoints is not None and checkpoints.path.exists():
             say(f"{source.path}: goes on from {checkpoints.path}")
-        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": phase, "checkpoints": checkpoints}
         if places:
             places.append([math.nan] * 3)
         if world is None:

@@ -1,19 +1,21 @@
-"""Where the map of ``build`` goes: a file, or with --tiles a folder."""
+"""Where the map of ``build`` goes, a file or with --tiles a folder, and the memory until then."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from hexmap.cli.console import check_map_output, check_outputs
+from hexmap.cli.console import check_map_output, check_outputs, progress_line
 
 if TYPE_CHECKING:
     from hexmap.io.map_store import FileStore, FolderStore, StoredMap
     from hexmap.maps.map import Map
 
-__all__ = ["check_map_outputs", "check_tiled", "map_store", "stored_words", "written"]
+__all__ = ["check_map_outputs", "check_tiled", "map_store", "phase", "stored_words", "written"]
 
 
 def check_map_outputs(output: Path, tiles: float | None, others: dict[str, Path | None], inputs: list[Path]) -> None:
@@ -71,6 +73,16 @@ def check_tiled(tiles: float | None, several: bool, going_on: bool, grows: bool)
                 f"--tiles bounds the memory, and with {option} the map must be whole in it ({why}); write a file and "
                 "cut it with hexmap merge --tiles"
             )
+
+
+@contextmanager
+def phase(name: str, fraction: Callable[[], float]) -> Iterator[Callable[[int], None]]:
+    """Show a phase of the work, which begins with the memory that the one before has left free."""
+    from hexmap.base.memory import return_free_memory
+
+    return_free_memory()
+    with progress_line(name, fraction) as update:
+        yield update
 
 
 def map_store(output: Path, tiles: float | None) -> FileStore | FolderStore:
