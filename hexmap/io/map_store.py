@@ -88,6 +88,10 @@ class MapStore(ABC):
         self._stack = contextlib.ExitStack()
         self._scratch: Path | None = None
 
+    def __repr__(self) -> str:
+        """Show where the map goes."""
+        return f"<{type(self).__name__} of {self.path}>"
+
     def __enter__(self) -> Self:
         """Remove what earlier runs have left."""
         for left in self._hidden().parent.glob(f"{glob.escape(self._hidden().name)}*"):
@@ -202,6 +206,19 @@ class FolderStore(MapStore):
     Raises:
         ArgumentError: ``tiles`` is no positive number.
         FileAccessError: the folder holds something else, or cannot be made.
+
+    Examples:
+        >>> import tempfile
+        >>> from hexmap import MapBuilder, Pose, Scan
+        >>> from hexmap.io import FolderStore
+        >>> with tempfile.TemporaryDirectory() as here, FolderStore(f"{here}/map", tiles=2.0) as store:
+        ...     builder = MapBuilder("A2", resolution=0.1)
+        ...     store.begin(builder)
+        ...     for x in range(10):
+        ...         builder.fuse(Scan(stamp=0.0, points=[[2.0, 0.0]]), Pose.planar(x, 0.0, 0.0))
+        ...     made = store.finish(builder, source={"log": "made up"})
+        ...     made.tiles, made.hit_cells, len(made.load().levels[0].hits)
+        (10, 10, 10)
     """
 
     def __init__(self, path: str | os.PathLike[str], tiles: float, budget: int = _BUDGET) -> None:
