@@ -13,8 +13,6 @@ import typer
 
 from hexmap.cli.build_lidar import LidarOutputs, build_lidar, lidar_settings
 from hexmap.cli.console import (
-    check_map_output,
-    check_outputs,
     first_run_note,
     progress_line,
     say,
@@ -35,6 +33,7 @@ from hexmap.cli.log_options import (
     ScanTopic,
     log_values,
 )
+from hexmap.cli.stores import check_map_outputs, check_tiled, map_store, phase, stored_words, written
 
 if TYPE_CHECKING:
     from hexmap.maps.map import Map
@@ -65,7 +64,9 @@ def build(
             ".bin, NPY); several of one place are mapped together.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The map file to write (.parquet).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The map file to write (.parquet); with --tiles, a folder.")
+    ],
     lattice: Annotated[
         str | None, typer.Option(help="Z2 or A2; for a LiDAR Z3, D3 or D3*.", show_default="A2, D3")
     ] = None,
@@ -116,6 +117,10 @@ def build(
     free_space: Annotated[
         bool | None, typer.Option(help="Count what a LiDAR's beams went through.", show_default="on")
     ] = None,
+    tiles: Annotated[
+        float | None,
+        typer.Option(help="Write a folder of tiles about so many metres wide; the map may be larger than memory."),
+    ] = None,
     level: Annotated[bool | None, typer.Option(help="Turn a LiDAR's map so that floors are level.")] = None,
     fleet: Annotated[
         bool, typer.Option("--fleet", help="A map of each log, in the folder --output; those that are there are kept.")
@@ -134,17 +139,19 @@ def build(
     check_fleet(fleet, dict(locals()))
     of_loops = {"--loops": loops, "--loops-picture": loops_picture, "--graph": graph, "--covariance": covariance}
     if not fleet:
-        check_outputs(
-            {"--output": output, "--trajectory": trajectory, "--picture": picture, **of_loops},
-            tuple(p for p in (*logs, continue_map, poses, config) if p is not None),
-        )
-        check_map_output(output)
+        check_map_outputs(
+            output, tiles, {"--trajectory": trajectory, "--picture": picture, **of_loops},
+            [p for p in (*logs, continue_map, poses, config) if p is not None],
+        )  # fmt: skip
     warn_of_size(resolution)
     for path in (picture, loops_picture):
         if path is not None:
             check_picture(path)
     in_space = is_lidar_log(logs[0])
     _check_kind(logs[0], in_space, dict(locals()))
+    check_tiled(
+        tiles, len(logs) > 1, continue_map is not None, poses is None and not loop_closure and not in_space
+    )
     own = own_lattice(lattice, basis, resolution)
     on: Any = lattice if own is None else own.basis.tolist()
     for option, path in of_loops.items():
@@ -164,7 +171,7 @@ def build(
         _build_in_space(
             logs,
             FleetOutputs(output, workers, cluster) if fleet
-            else LidarOutputs(output, trajectory, picture, loops, graph, covariance), config, poses,
+            else LidarOutputs(output, trajectory, picture, loops, graph, covariance, tiles), config, poses,
             None if associate is None else associate.value, loop_closure, continue_map, checkpoint,
             lattice=on, resolution=resolution, levels=levels, min_range=min_range, max_range=max_range,
             free_space=free_space, level_floor=level, rule={"min_hits": min_hits, "min_ratio": min_ratio},
@@ -201,8 +208,9 @@ def build(
         raise TrajectoryError(f"{poses}: poses in space cannot place a planar log: z, roll and pitch must be 0")
     first_run_note(45)
     result = build_and_report(
-        sources, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure, old, checkpoint
-    )
+        sources, settings, output, trajectory, trajectory_of, picture, given, associate, loop_closure, old, checkpoint,
+        tiles,
+    )  # fmt: skip
     if result.slam is not None:
         _write_loops(result, settings, loops, loops_picture, graph, covariance)
 
@@ -380,14 +388,16 @@ def _read_config(path: Path) -> dict[str, Any]:
 
 
 def _map_logs(
-    sources: list[Any], settings: MappingSettings, old: Map | None, checkpoint: Path | None, on_pose: Any
+    sources: list[Any], settings: MappingSettings, old: Map | None, checkpoint: Path | None, on_pose: Any, store: Any
 ) -> MappingResult:
-    """Map one log after the other, each found in the map of those before it."""
+    """Map one log after the other, each found in the map of those before; ``store`` takes the map of a single one."""
+    from hexmap.base.memory import return_freed_arrays
     from localisation.mapping.add_run import add_run
     from localisation.mapping.align import pose_words
     from localisation.mapping.checkpoint import checkpoints_of
     from localisation.mapping.loop_closed_map import build_loop_closed_map
 
+    return_freed_arrays()
     kept = checkpoints_of(checkpoint, len(sources))
     result: MappingResult | None = None
     world = old
@@ -395,13 +405,14 @@ def _map_logs(
         begun = None if checkpoints is None else checkpoints.readings()
         if checkpoints is not None and begun is not None:
             say(f"{source.path}: goes on after {begun:,} readings, which {checkpoints.path} holds")
-        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": phase, "checkpoints": checkpoints}
         if world is None:
-            new = build_loop_closed_map(source, settings, **how)
+            new = build_loop_closed_map(source, settings, **how, store=store if len(sources) == 1 else None)
         else:
             new, found = add_run(world, source, settings, **how)
             say(f"{source.path}: begins at {pose_words(found.pose)} in the map; {found.met} cells of walls meet")
-        world = new.map
+        if len(sources) > 1:
+            world = new.map
         result = new if result is None else replace(
             new, scans=result.scans + new.scans, odometry=result.odometry + new.odometry,
             matched=result.matched + new.matched, unmatched=result.unmatched + new.unmatched,
@@ -425,11 +436,11 @@ def build_and_report(
     loop_closure: bool = True,
     old: Map | None = None,
     checkpoint: Path | None = None,
+    tiles: float | None = None,
 ) -> MappingResult:
     """Build, write and report; returns the result."""
     from contextlib import ExitStack
 
-    from hexmap.io.map_file import save_map
     from hexmap.io.trajectories import TumWriter
     from localisation.mapping.build_map import build_map
     from localisation.mapping.checkpoint import forget
@@ -439,6 +450,7 @@ def build_and_report(
     begin = time.monotonic()
     drawn: list[tuple[float, float]] = []
     with ExitStack() as stack:
+        store = stack.enter_context(map_store(output, tiles))
         writer = stack.enter_context(TumWriter(trajectory)) if trajectory is not None else None
 
         def on_pose(stamp: float, pose: Any, is_scan: bool) -> None:
@@ -448,21 +460,23 @@ def build_and_report(
                 drawn.append((pose.x, pose.y))
 
         if given is None and loop_closure:
-            result = _map_logs(sources, settings, old, checkpoint, on_pose)
+            result = _map_logs(sources, settings, old, checkpoint, on_pose, store)
         else:
             with progress_line("mapping", source.fraction) as progress:
                 if given is None:
-                    result = build_map(source, settings, on_pose=on_pose, progress=progress)
+                    result = build_map(source, settings, on_pose=on_pose, progress=progress, store=store)
                 else:
                     how = None if associate is None else associate.value
-                    result = fuse_log(source, given, settings, associate=how, on_pose=on_pose, progress=progress)
-        seconds = time.monotonic() - begin
-        save_map(output, result.map)
+                    result = fuse_log(
+                        source, given, settings, associate=how, on_pose=on_pose, progress=progress, store=store
+                    )
+        seconds = time.monotonic() - begin - store.seconds
+        stored = written(result.made, output)
     if checkpoint is not None:
         forget(checkpoint, len(sources))
     for text in result.warnings:
         warn(text)
-    if len(result.map.levels[0].hits) == 0:
+    if stored.hit_cells == 0:
         warn(f"{source.path}: no point of it is in the map; see --min-range, --max-range and --no-return")
     how = f"{result.mean_part:.0%} of a scan's cells coincide on average" if result.matched else "nothing to match"
     how = "given poses" if given is not None else how
@@ -474,8 +488,7 @@ def build_and_report(
         warn(f"{source.path}: {result.skipped} scans have no pose and were left out")
     if result.unmatched:
         warn(f"{source.path}: {result.unmatched} scans coincide with nothing and kept their predicted pose")
-    hits = len(result.map.levels[0].hits)
-    wrote(output, f"{len(result.map.levels)} levels, {hits} cells hit, {result.map.lattice.title}")
+    wrote(output, stored_words(stored))
     if trajectory is not None:
         wrote(trajectory, f"poses of {'all readings' if trajectory_of is Readings.all else 'the scans'}, TUM")
     if picture is not None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hexmap.cli.console import first_run_note, mount_words, progress_line, say, warn, wrote
+from hexmap.cli.stores import map_store, phase, stored_words, written
 
 if TYPE_CHECKING:
     from hexmap.io.lidar.lidar_log import LidarLog
@@ -31,6 +32,7 @@ class LidarOutputs:
     loops: Path | None = None
     graph: Path | None = None
     covariance: Path | None = None
+    tiles: float | None = None
 
 
 def lidar_settings(values: dict[str, Any], options: dict[str, Any]) -> LidarSettings:
@@ -73,7 +75,6 @@ def build_lidar(
     from contextlib import ExitStack
 
     from hexmap.io.lidar.open_lidar import open_lidar
-    from hexmap.io.map_file import save_map
     from hexmap.io.trajectories import TumWriter, read_trajectory
     from localisation.mapping.checkpoint import forget
     from localisation.mapping.lidar_map import fuse_lidar_log
@@ -86,6 +87,7 @@ def build_lidar(
     first_run_note(45)
     places: list[list[float]] = []
     with ExitStack() as stack:
+        store = stack.enter_context(map_store(outputs.map, outputs.tiles))
         writer = None if outputs.trajectory is None else stack.enter_context(TumWriter(outputs.trajectory))
 
         def on_pose(stamp: float, pose: Pose, is_scan: bool) -> None:
@@ -94,20 +96,17 @@ def build_lidar(
                 writer.append(stamp, pose)
 
         if given is None:
-            result = _map_logs(sources, settings, close, old, checkpoint, on_pose, places)
+            result = _map_logs(sources, settings, close, old, checkpoint, on_pose, places, store)
         else:
             begin = time.monotonic()
             result = fuse_lidar_log(
-                sources[0], given, settings, associate=associate, on_pose=on_pose, phase=progress_line
+                sources[0], given, settings, associate=associate, on_pose=on_pose, phase=progress_line, store=store
             )
-            _report(sources[0], result, time.monotonic() - begin)
-        save_map(outputs.map, result.map)
+            _report(sources[0], result, time.monotonic() - begin - store.seconds)
+        stored = written(result.made, outputs.map)
     if checkpoint is not None:
         forget(checkpoint, len(sources))
-    wrote(
-        outputs.map,
-        f"{len(result.map.levels)} levels, {len(result.map.levels[0].hits)} cells hit, {result.map.lattice.title}",
-    )
+    wrote(outputs.map, stored_words(stored))
     if outputs.trajectory is not None:
         whose = " and ".join(dict.fromkeys(source.poses_of for source in sources))
         wrote(outputs.trajectory, f"poses of {whose} at the scans' stamps, TUM")
@@ -130,10 +129,11 @@ def _map_logs(
     checkpoint: Path | None,
     on_pose: OnPose,
     places: list[list[float]],
+    store: Any,
 ) -> LidarMappingResult:
     """Map one log after the other, each found in the map of those before it; returns the last result.
 
-    ``places``, where the poses are, get a gap between two runs.
+    ``places``, where the poses are, get a gap between two runs; ``store`` takes the map of a single one.
     """
     from localisation.mapping.add_lidar_run import add_lidar_run
     from localisation.mapping.align import pose_words
@@ -147,19 +147,20 @@ def _map_logs(
         begin = time.monotonic()
         if checkpoints is not None and checkpoints.path.exists():
             say(f"{source.path}: goes on from {checkpoints.path}")
-        how: dict[str, Any] = {"on_pose": on_pose, "phase": progress_line, "checkpoints": checkpoints}
+        how: dict[str, Any] = {"on_pose": on_pose, "phase": phase, "checkpoints": checkpoints}
         if places:
             places.append([math.nan] * 3)
         if world is None:
-            result = build_lidar_map(source, settings, close=close, **how)
+            result = build_lidar_map(source, settings, close=close, **how, store=store if len(sources) == 1 else None)
         else:
             result, found = add_lidar_run(world, source, settings, **how)
             say(
                 f"{source.path}: begins at {pose_words(found.pose)} in the map; {found.held} of its {found.submaps} "
                 "parts lie on it"
             )
-        world = result.map
-        _report(source, result, time.monotonic() - begin)
+        if len(sources) > 1:
+            world = result.map
+        _report(source, result, time.monotonic() - begin - store.seconds)
     assert result is not None
     return result
 

@@ -34,7 +34,7 @@ class FleetOutputs:
 # Options that are of one map alone.
 _OF_ONE_MAP = (
     "trajectory", "picture", "loops", "loops_picture", "graph", "covariance", "continue_map", "checkpoint", "poses",
-    "associate",
+    "associate", "tiles",
 )  # fmt: skip
 
 

@@ -32,6 +32,7 @@ from hexmap.io.file_kinds import PARQUET
 from hexmap.io.read_file import cannot_read, check_regular, inflation_limit
 from hexmap.lattice.keys import KeyArray, pack, unpack
 from hexmap.lattice.lattice import Lattice
+from hexmap.maps.builder import LevelRows
 from hexmap.maps.map import Level, Map
 from hexmap.maps.voxel_list import VoxelList
 
@@ -50,6 +51,7 @@ __all__ = [
     "read_metadata",
     "save_map",
     "texts_of",
+    "write_rows",
 ]
 
 FORMAT_VERSION = 1
@@ -82,9 +84,8 @@ def save_map(path: str | os.PathLike[str], map: Map) -> None:
         ...     load_map(Path(folder) / "one.parquet").levels[0].hits.rows().tolist()
         [[0, 3, 1]]
     """
-    with atomic_write(path) as handle, MapWriter(handle, describe(map), map.lattice.dim) as writer:
-        for columns in _row_groups(map):
-            writer.write_columns(columns)
+    with atomic_write(path) as handle:
+        write_rows(handle, describe(map), map.lattice.dim, _rows(map))
 
 
 class MapWriter:
@@ -134,29 +135,40 @@ class MapWriter:
         self.close()
 
 
-def _row_groups(map: Map) -> Iterator[list[NDArray[Any]]]:
-    """Yield the columns of the file, so many rows at a time: a large map would take three times its memory at once."""
-    waiting: list[list[NDArray[Any]]] = []
-    count = rows = 0
+def write_rows(handle: Any, header: dict[str, Any], dim: int, rows: LevelRows) -> None:
+    """Write a map file, so many rows at a time: a large map would take three times its memory at once.
+
+    Args:
+        handle: the file to write to.
+        header: what :func:`describe` returns.
+        dim: of the lattice.
+        rows: of all levels.
+    """
+    columns: list[NDArray[Any]] = [np.empty(_GROUP, np.int32) for _ in range(1 + dim)]
+    columns += [np.empty(_GROUP, np.int64) for _ in range(2)]
+    count = groups = 0
+    with MapWriter(handle, header, dim) as writer:
+        for level, (keys, hits, passes) in rows:
+            at = 0
+            while at < len(keys):
+                some, room = slice(at, at + _GROUP - count), slice(count, count + len(keys) - at)
+                index = unpack(keys[some], dim)
+                for column, values in zip(columns, [level, *index.T, hits[some], passes[some]], strict=True):
+                    column[room] = values
+                at += len(index)
+                count += len(index)
+                if count == _GROUP:
+                    writer.write_columns(columns)
+                    count, groups = 0, groups + 1
+        # A map without a cell has one group of no rows.
+        if count or not groups:
+            writer.write_columns([column[:count] for column in columns])
+
+
+def _rows(map: Map) -> LevelRows:
     for k, level in enumerate(map.levels):
         for part in _parts(level):
-            keys, hits, passes = part.columns()
-            index = unpack(keys, map.lattice.dim)
-            columns = [np.full(len(keys), k, np.int32), *index.T, hits, passes]
-            while count + len(columns[0]) >= _GROUP:
-                cut = _GROUP - count
-                yield _joined([*waiting, [c[:cut] for c in columns]])
-                waiting, count, columns = [], 0, [c[cut:] for c in columns]
-                rows += _GROUP
-            waiting.append(columns)
-            count += len(columns[0])
-    # A map without a cell has one group of no rows.
-    if count or not rows:
-        yield _joined(waiting)
-
-
-def _joined(pieces: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
-    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
+            yield k, part.columns()
 
 
 def _parts(level: Level) -> Iterator[Level]:

@@ -27,18 +27,21 @@ from hexmap.io.map_file import describe, lattice_of, levels_of, texts_of
 from hexmap.io.map_folder import MapFolder, Tile
 from hexmap.io.merge_part import Input, Part, merge_part, merge_part_apart, rows_merged
 from hexmap.io.open_map import map_metadata
-from hexmap.io.row_streams import MapRows
+from hexmap.io.row_streams import MapRows, RowStream, merged_runs
 from hexmap.io.tile_writer import check_folder, tile_cells, tile_folder
+from hexmap.maps.builder import LevelRows
 from hexmap.maps.map import Level, Map
 from hexmap.maps.origin import common_logs, logs_in_words
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["merge_maps", "merge_parts"]
+__all__ = ["SIDE_BY_SIDE", "merge_maps", "merge_parts", "merged_rows"]
 
 # Maps read side by side; more are merged in groups of as many first. Each has a batch of every level in memory.
-_SIDE_BY_SIDE = 64
+SIDE_BY_SIDE = 64
 _BATCH, _LEAST_BATCH = 1 << 17, 1 << 13  # rows, of 24 bytes
 _ALL_BATCHES = 1 << 23
+# Rows of all files that are merged into one: the rows of one level wait at a time.
+_MOST_WAITING = 1 << 20
 # Parts of a merge for each worker, so that one that is slow or killed holds up little; and how many times the rows that
 # it reads in common with its neighbour a part has at least.
 _PARTS_A_WORKER, _LEAST_PART = 4, 4
@@ -126,7 +129,7 @@ def merge_parts(
             sources, target = [path.absolute() for path in sources], target.absolute()
         else:
             team = _Team(stack.enter_context(LocalWorkers(workers)), workers=workers) if workers > 1 else _Team()
-        if len(sources) > _SIDE_BY_SIDE:
+        if len(sources) > SIDE_BY_SIDE:
             # Beside the output: the folder of the system may be a small one, in memory.
             beside = tempfile.TemporaryDirectory(
                 prefix=".merge-", dir=target.absolute().parent, ignore_cleanup_errors=True
@@ -135,13 +138,30 @@ def merge_parts(
         _merge_side_by_side(sources, target, merged, cells, team, progress)
 
 
+def merged_rows(parts: Sequence[Path]) -> LevelRows:
+    """Yield the rows of map files that are known to go together, the counts of equal cells added.
+
+    Raises:
+        BoundsError: a count would be more than 2^63 - 1.
+        FileAccessError, FormatError: a file cannot be read.
+    """
+    with contextlib.ExitStack() as stack:
+        maps = [stack.enter_context(contextlib.closing(MapRows(path))) for path in parts]
+        batch = min(_BATCH, max(_LEAST_BATCH, _MOST_WAITING // len(maps)))
+        ends = [rows.level_ends().tolist() for rows in maps]
+        for level in range(maps[0].levels):
+            streams = [RowStream(m, e[level], e[level + 1], batch) for m, e in zip(maps, ends, strict=True)]
+            for run in merged_runs(streams, 2**63 - 1, maps[0].lattice.dim):
+                yield level, run
+
+
 def _merge_groups(
     paths: Sequence[Path], scratch: Path, merged: Map, cells: tuple[int, ...], team: _Team
 ) -> list[Path]:
     """Merge maps in groups until so few are left that they can be read side by side."""
     numbers, paths = itertools.count(), list(paths)
-    while len(paths) > _SIDE_BY_SIDE:
-        groups = [paths[i : i + _SIDE_BY_SIDE] for i in range(0, len(paths), _SIDE_BY_SIDE)]
+    while len(paths) > SIDE_BY_SIDE:
+        groups = [paths[i : i + SIDE_BY_SIDE] for i in range(0, len(paths), SIDE_BY_SIDE)]
         paths = [
             _merge_side_by_side(group, scratch / str(next(numbers)), merged, cells, team, None) for group in groups
         ]

@@ -23,7 +23,7 @@ from hexmap.io.row_streams import Run
 from hexmap.lattice.keys import layout, unpack
 from hexmap.lattice.lattice import Lattice
 
-__all__ = ["TileWriter", "check_folder", "part_folder", "tile_cells", "tile_folder"]
+__all__ = ["TileWriter", "check_folder", "check_tiles", "locked", "part_folder", "tile_cells", "tile_folder"]
 
 # Rows of a row group. All tiles that one step along the first index meets are open at once, each with up to a group in
 # memory: three megabytes.
@@ -42,12 +42,21 @@ def tile_cells(lattice: Lattice, levels: int, metres: float) -> tuple[int, ...]:
     Raises:
         ArgumentError: not a positive number of metres.
     """
-    if not 0.0 < metres < float("inf"):
-        raise ArgumentError(f"tiles are a positive number of metres wide, not {metres:g}")
+    check_tiles(metres)
     step = 2 ** (levels - 1)
     wide = metres / (step * np.linalg.norm(lattice.basis, axis=0))
     most = 2 * lattice.limit // step + 1  # the whole range of indices
     return tuple(step * int(min(max(1.0, np.rint(w)), most)) for w in wide)
+
+
+def check_tiles(metres: float) -> None:
+    """Check how wide tiles are to be.
+
+    Raises:
+        ArgumentError: not a positive number of metres.
+    """
+    if not 0.0 < metres < float("inf"):
+        raise ArgumentError(f"tiles are a positive number of metres wide, not {metres:g}")
 
 
 def check_folder(path: Path) -> None:
@@ -87,7 +96,7 @@ def tile_folder(
     made = not path.exists()
     try:
         path.mkdir(exist_ok=True)
-        with _locked(path):
+        with locked(path):
             scratch = path / f"{_SCRATCH}{os.getpid()}-{os.urandom(4).hex()}"
             scratch.mkdir()
             try:
@@ -136,8 +145,12 @@ def _commit(path: Path, scratch: Path, writer: TileWriter) -> None:
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Keep a second run off the folder; the lock goes with the process, however it ends."""
+def locked(path: Path) -> Iterator[None]:
+    """Keep a second run off the folder; the lock goes with the process, however it ends.
+
+    Raises:
+        FileAccessError: another run has it.
+    """
     try:
         import fcntl
     except ImportError:  # another system than POSIX

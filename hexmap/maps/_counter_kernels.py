@@ -461,6 +461,43 @@ def sorted_cells(channel, arrays, order, n, keys, counts):
 
 
 @njit(cache=True, nogil=True)
+def sorted_rows(arrays, order, first, stop, n, keys, hits, passes):
+    """Write the key, hits and passes of all cells that were hit or passed, in ascending order.
+
+    ``order`` are the tiles of one first coordinate by the others; of their layers of cells along the first index those
+    from ``first`` to ``stop`` are taken. Returns how many rows there are.
+    """
+    corners, tiles, bits = arrays.corners, arrays.tiles, arrays.bits
+    side = np.int64(1) << bits
+    depth = side if n == 3 else np.int64(1)
+    m = 0
+    for i in range(first, stop):
+        a = 0
+        while a < order.shape[0]:
+            # As in ``sorted_cells``: row by row across all tiles of a second coordinate.
+            b = _end_of_group(order, corners, a, order.shape[0], 1)
+            for j in range(side):
+                for s in range(a, b):
+                    t = order[s]
+                    for k in range(depth):
+                        inner = (i << bits) | j
+                        if n == 3:
+                            inner = (inner << bits) | k
+                        hit = tiles[t, inner, 0]
+                        passed = tiles[t, inner, 1]
+                        if hit > 0 or passed > 0:
+                            x = (corners[t, 0] << bits) + i
+                            y = (corners[t, 1] << bits) + j
+                            z = (corners[t, 2] << bits) + k if n == 3 else np.int64(0)
+                            keys[m] = cell_key(x, y, z, n)
+                            hits[m] = hit
+                            passes[m] = passed
+                            m += 1
+            a = b
+    return m
+
+
+@njit(cache=True, nogil=True)
 def noted_cells(arrays, noted, n, index, counts):
     """Write index, hits and passes of the cells in the journal; returns how many, each once."""
     cells = arrays.tiles.shape[1]

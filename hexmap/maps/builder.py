@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -13,10 +13,14 @@ from hexmap.base.errors import ArgumentError
 from hexmap.base.text import reason
 from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.lattice import Lattice
-from hexmap.maps.counter import HITS, PASSES, CellCounter
+from hexmap.maps.counter import HITS, PASSES, CellCounter, Rows
 from hexmap.maps.map import Level, Map
+from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Scan
+
+LevelRows: TypeAlias = Iterator[tuple[int, Rows]]
+"""Rows of a map, each with the level that they are of: levels ascend, and in each the keys."""
 
 
 class MapBuilder:
@@ -71,6 +75,8 @@ class MapBuilder:
         self._max_range = max_range
         self._clear_no_return = clear_no_return
         self._spare_hits = spare_hits
+        self._budget = 0
+        self._spill: Callable[[LevelRows], None] | None = None
         self.scans = 0
 
     @property
@@ -106,7 +112,7 @@ class MapBuilder:
         # has been counted yet.
         for counter in self._counters:
             counter.fuse(T_map_scan.translation, ends, len(points), spare_hits=self._spare_hits)
-        self.scans += 1
+        self._count_scan()
 
     def add_hits(self, scan: Scan, T_map_scan: Pose) -> None:
         """Add a scan's points as hits, and say nothing of the cells that its beams went through.
@@ -120,7 +126,41 @@ class MapBuilder:
         index = [counter.lattice.quantise(points) for counter in self._counters]
         for counter, cells in zip(self._counters, index, strict=True):
             counter.add(cells)
+        self._count_scan()
+
+    def _count_scan(self) -> None:
         self.scans += 1
+        if self._spill is not None and self.nbytes > self._budget:
+            self._spill(self.take_rows())
+
+    def spill(self, spill: Callable[[LevelRows], None], budget: int) -> None:
+        """Hand the counts on whenever they take more than a budget, and go on from nothing: counts add.
+
+        What :meth:`counter` and :meth:`build` give is then of the scans since.
+
+        Args:
+            spill: is called with all rows, which it must take to the end.
+            budget: bytes.
+        """
+        self._spill, self._budget = spill, budget
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all counts."""
+        return sum(counter.nbytes for counter in self._counters)
+
+    def take_rows(self) -> LevelRows:
+        """Yield the rows of all levels, and give the memory of each level back when its rows are taken.
+
+        Who followed a counter is told nothing more.
+        """
+        for counter in self._counters:
+            counter.forget_followers()
+        for k, counter in enumerate(self._counters):
+            for rows in counter.rows():
+                yield k, rows
+            self._counters[k] = CellCounter(counter.lattice)
+            del counter
 
     def _ranges(self, scan: Scan, T_map_scan: Pose) -> FloatArray:
         """Return how far the points (N,) of a scan are from the sensor, metres, if it can go into the map at all."""
@@ -132,6 +172,17 @@ class MapBuilder:
         if not np.isfinite(scan.points).all():
             self.lattice.quantise(scan.points)  # raises, naming the row
         return np.asarray(np.sqrt((scan.points**2).sum(axis=1)))
+
+    def empty_map(self, frame: str = "map", source: Mapping[str, Any] | None = None) -> Map:
+        """Return the map without a cell: arguments and errors as of :meth:`build`."""
+        if not isinstance(frame, str):
+            raise ArgumentError(f"the name of a frame is a text, not {frame!r}")
+        try:
+            provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(f"where the scans came from cannot be written as JSON: {reason(error)}") from error
+        nothing = [VoxelList.empty(counter.lattice) for counter in self._counters]
+        return Map([Level(cells, cells) for cells in nothing], frame, provenance)
 
     def build(self, frame: str = "map", source: Mapping[str, Any] | None = None, *, finish: bool = False) -> Map:
         """Return the map of all scans fused so far.
@@ -145,12 +196,7 @@ class MapBuilder:
         Raises:
             ArgumentError: the frame is no text, or JSON cannot say where the scans came from.
         """
-        if not isinstance(frame, str):
-            raise ArgumentError(f"the name of a frame is a text, not {frame!r}")
-        try:
-            provenance = [json.dumps(source, sort_keys=True)] if source is not None else []
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"where the scans came from cannot be written as JSON: {reason(error)}") from error
+        empty = self.empty_map(frame, source)
         levels = []
         for k, counter in enumerate(self._counters):
             levels.append(Level(counter.to_list(HITS), counter.to_list(PASSES)))
@@ -159,4 +205,4 @@ class MapBuilder:
                 del counter
         if finish:
             self.scans = 0
-        return Map(levels, frame, provenance)
+        return Map(levels, frame, empty.provenance)

@@ -6,7 +6,8 @@ scans, and whoever follows it: a scan matcher that keeps the occupied cells of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,13 +20,18 @@ from hexmap.lattice.convert import LatticeLike, as_lattice
 from hexmap.lattice.rays import MAX_CELLS, traverse
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["HITS", "PASSES", "CellCounter", "Follower"]
+__all__ = ["HITS", "PASSES", "CellCounter", "Follower", "Rows"]
 
 HITS, PASSES = 0, 1
 _BITS = {2: 4, 3: 3}  # tiles of 16 x 16 or 8 x 8 x 8 cells
 _EMPTY = -(2**63)
 _TILES, _MANY_TILES = 64, 1 << 15
 _JOURNAL = 4096
+# Cells of a layer of tiles that are looked at at once for the rows in them, of 24 bytes.
+_LAYER = 1 << 18
+
+Rows: TypeAlias = tuple[IntArray, IntArray, IntArray]
+"""Keys (M,) of cells in ascending order, each once, and the hits and passes (M,) of each."""
 
 Follower: TypeAlias = Callable[[IntArray, IntArray], None]
 
@@ -179,6 +185,11 @@ class CellCounter:
         if len(hits):
             follower(hits.index.astype(np.int64), counts)
 
+    def forget_followers(self) -> None:
+        """Tell nobody any more, and let go of what those who followed hold."""
+        self._followers.clear()
+        self._arrays = self._arrays._replace(journal=np.empty(0, np.int64))
+
     def _tell(self) -> None:
         from hexmap.maps import _counter_kernels as kernels
 
@@ -200,6 +211,29 @@ class CellCounter:
         out = np.zeros(len(index), np.int64)
         kernels.find(self._arrays, np.ascontiguousarray(index), channel, out)
         return out
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the tiles in use."""
+        return int(self._used * self._arrays.tiles[:1].nbytes)
+
+    def rows(self) -> Iterator[Rows]:
+        """Yield all cells that were hit or passed, in ascending order, so many at a time as lie side by side."""
+        from hexmap.maps import _counter_kernels as kernels
+
+        a, n = self._arrays, self.lattice.dim
+        corners = a.corners[: self._used]
+        order = np.lexsort(corners.T[::-1])
+        first = np.flatnonzero(np.diff(corners[order, 0], prepend=corners[order[:1], 0] - 1))
+        side, cells = 1 << a.bits, a.tiles.shape[1]
+        for begin, end in itertools.pairwise([*first.tolist(), len(order)]):
+            layer = (end - begin) * cells // side
+            count = min(side, max(1, _LAYER // layer))
+            for i in range(0, side, count):
+                rows = tuple(np.empty(layer * count, np.int64) for _ in range(3))
+                m = kernels.sorted_rows(a, order[begin:end], i, min(side, i + count), n, *rows)
+                if m:
+                    yield rows[0][:m], rows[1][:m], rows[2][:m]
 
     def to_list(self, channel: int = HITS) -> VoxelList:
         """Return the counts as a sorted, immutable list."""

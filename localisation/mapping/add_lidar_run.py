@@ -112,7 +112,7 @@ def add_lidar_run(
     held, about = _find(localiser, run, map.lattice.resolution)
     result = fuse_lidar_run(held, None, on_pose=on_pose, phase=phase)
     moved = Map(result.map.levels, map.frame, sources_in_frame(result.map.sources(), frames_of(map.sources())))
-    return replace(result, map=map.merge(moved, same_frame=True)), about
+    return replace(result, made=map.merge(moved, same_frame=True)), about
 
 
 def _find(localiser: LidarLocaliser, run: LidarRun, resolution: float) -> tuple[LidarRun, FoundRun]:

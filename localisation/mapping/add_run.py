@@ -93,7 +93,7 @@ def add_run(
         held = _hold(map, run, settings, planar.of_pose(found.pose))
     result = fuse_run(held, settings, on_pose=on_pose, phase=phase)
     moved = Map(result.map.levels, map.frame, sources_in_frame(result.map.sources(), frames_of(map.sources())))
-    return replace(result, map=map.merge(moved, same_frame=True)), found
+    return replace(result, made=map.merge(moved, same_frame=True)), found
 
 
 def _hold(map: Map, run: MappedRun, settings: MappingSettings, T_map_run: FloatArray) -> MappedRun:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
 from hexmap.io.logs.log import Log
+from hexmap.io.map_store import MapStore
 from hexmap.poses.scan import Odometry
 from localisation.mapping.result import (
     MappingResult,
@@ -15,6 +16,7 @@ from localisation.mapping.result import (
     PoseRecorder,
     Progress,
     UnusableScans,
+    finished,
     jump_warnings,
     provenance,
 )
@@ -30,6 +32,7 @@ def build_map(
     *,
     on_pose: OnPose | None = None,
     progress: Progress | None = None,
+    store: MapStore | None = None,
 ) -> MappingResult:
     """Map a log by scan matching.
 
@@ -39,6 +42,8 @@ def build_map(
         on_pose: called with stamp, T_map_robot and whether it is a scan's, for every laser and
             odometry reading in the log's order.
         progress: called after each scan with the number of scans so far.
+        store: where the map is written at the end, level by level; None: it is made in memory. Until then it is whole,
+            because scans are matched against it.
 
     Returns:
         The map, in the frame of the first pose, and what was counted.
@@ -81,7 +86,7 @@ def build_map(
     scans, jumps = builder.scans, odometry.jumps
     del odometry, registered
     return MappingResult(
-        map=builder.build(source=provenance(log, settings, "scan matching"), finish=True),
+        made=finished(builder, provenance(log, settings, "scan matching"), store),
         scans=scans,
         odometry=log.odometry,
         matched=matched,

@@ -22,7 +22,8 @@ from hexmap.base.version import __version__
 from hexmap.io.fingerprint import fingerprint
 from hexmap.io.lidar.open_lidar import is_lidar_log, open_lidar
 from hexmap.io.logs.open_log import open_log
-from hexmap.io.map_file import read_metadata, save_map
+from hexmap.io.map_file import read_metadata
+from hexmap.io.map_store import FileStore
 from localisation.lidar_settings import LidarSettings
 from localisation.mapping.build_map import build_map
 from localisation.mapping.lidar_map import build_lidar_map
@@ -170,8 +171,7 @@ def map_log(task: str) -> dict[str, Any]:
         if is_lidar_log(log) != what["space"]:
             kind, other = ("a LiDAR", "planar lasers") if not what["space"] else ("a planar laser", "LiDARs")
             return {"error": f"{log.name}: the log of {kind}, in a fleet of {other}"}
-        found, warnings = _mapped(log, what)
-        save_map(path, found)
+        warnings = _map_into(path, log, what)
     except HexmapError as error:
         return {"error": " ".join(str(error).split())}
     except Exception as error:
@@ -179,16 +179,15 @@ def map_log(task: str) -> dict[str, Any]:
     return {"kept": False, "warnings": list(warnings)}
 
 
-def _mapped(log: Path, what: dict[str, Any]) -> tuple[Any, list[str]]:
-    """Return the map of a log, and what was odd about it."""
-    if what["space"]:
-        space = LidarSettings.from_dict(what["settings"])
-        in_space = build_lidar_map(open_lidar(log, space.log), space, close=what["close"])
-        return in_space.map, in_space.warnings
-    settings = MappingSettings.from_dict(what["settings"])
-    source = open_log(log, settings.log)
-    result = build_loop_closed_map(source, settings) if what["close"] else build_map(source, settings)
-    return result.map, result.warnings
+def _map_into(path: Path, log: Path, what: dict[str, Any]) -> list[str]:
+    """Write the map of a log; returns what was odd about it."""
+    with FileStore(path) as store:
+        if what["space"]:
+            space = LidarSettings.from_dict(what["settings"])
+            return build_lidar_map(open_lidar(log, space.log), space, close=what["close"], store=store).warnings
+        settings = MappingSettings.from_dict(what["settings"])
+        build = build_loop_closed_map if what["close"] else build_map
+        return build(open_log(log, settings.log), settings, store=store).warnings
 
 
 def _fits(path: Path, log: Path, settings: dict[str, Any], close: bool) -> bool:

@@ -6,10 +6,19 @@ from collections.abc import Iterator
 
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError, TrajectoryError
 from hexmap.io.logs.log import Log
+from hexmap.io.map_store import MapStore
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event, Odometry, Scan
 from hexmap.poses.trajectory import Trajectory
-from localisation.mapping.result import MappingResult, OnPose, PoseRecorder, Progress, UnusableScans, provenance
+from localisation.mapping.result import (
+    MappingResult,
+    OnPose,
+    PoseRecorder,
+    Progress,
+    UnusableScans,
+    finished,
+    provenance,
+)
 from localisation.settings import MappingSettings, make_builder, make_mount
 
 
@@ -22,11 +31,12 @@ def fuse_log(
     tolerance: float = 0.1,
     on_pose: OnPose | None = None,
     progress: Progress | None = None,
+    store: MapStore | None = None,
 ) -> MappingResult:
     """Map a log whose poses (T_map_robot) are known.
 
     How poses go with scans is said at :func:`readings_at_poses`; scans without a pose are left out
-    and counted.
+    and counted. A ``store`` says where the map is written as its rows come; without one it is made in memory.
 
     Raises:
         LogError: the log cannot be read or has no laser reading.
@@ -34,6 +44,8 @@ def fuse_log(
     """
     settings = settings or MappingSettings()
     builder = make_builder(settings)
+    if store is not None:
+        store.begin(builder)
     mount: Pose | None = None
     skipped = seen = 0
     recorder = PoseRecorder(on_pose)
@@ -63,7 +75,7 @@ def fuse_log(
         )
     scans = builder.scans
     return MappingResult(
-        map=builder.build(source=provenance(log, settings, "given", poses), finish=True),
+        made=finished(builder, provenance(log, settings, "given", poses), store),
         scans=scans,
         odometry=log.odometry,
         matched=0,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from hexmap.base.arrays import FloatArray
 from hexmap.base.errors import ArgumentError, BoundsError, TooLargeError, TrajectoryError
 from hexmap.base.values import one_line
 from hexmap.io.lidar.lidar_log import LidarLog
+from hexmap.io.map_store import MapStore, StoredMap
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import angles
@@ -24,7 +26,7 @@ from hexmap.poses.trajectory import Trajectory
 from localisation.lidar_settings import LidarSettings
 from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.loop_closed_map import Phase, silent
-from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, provenance
+from localisation.mapping.result import OnPose, PoseRecorder, UnusableScans, finished, provenance, whole
 from localisation.matching.gravity import levelling
 from localisation.matching.surfaces import SurfaceMap, first_of_each_cell
 from localisation.odometry.lidar_odometry import LidarOdometry
@@ -46,7 +48,7 @@ class LidarMappingResult:
     """A finished map in space and what was counted on the way.
 
     Attributes:
-        map: the map.
+        made: the map, or where it was written.
         scans: scans fused.
         matched: scans that surfaces held (the first has nothing to be matched against).
         unmatched: scans that kept the motion predicted for them.
@@ -61,7 +63,7 @@ class LidarMappingResult:
         slam: the graph, the loops and how sure each pose is; None where poses were given.
     """
 
-    map: Map
+    made: Map | StoredMap
     scans: int
     matched: int
     unmatched: int
@@ -76,6 +78,11 @@ class LidarMappingResult:
 
     __repr__ = one_line
 
+    @cached_property
+    def map(self) -> Map:
+        """The map; one that was written is read again."""
+        return whole(self.made)
+
 
 def build_lidar_map(
     log: LidarLog,
@@ -86,6 +93,7 @@ def build_lidar_map(
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
     checkpoints: Checkpoints | None = None,
+    store: MapStore | None = None,
 ) -> LidarMappingResult:
     """Map a LiDAR's log.
 
@@ -97,6 +105,7 @@ def build_lidar_map(
         on_pose: called at the end with stamp, T_map_robot and True for every scan in the log's order.
         phase: shows what is being done, as for :func:`~localisation.mapping.loop_closed_map.build_loop_closed_map`.
         checkpoints: where the run keeps what it knows, and finds what one that was killed has left.
+        store: where the map is written as its rows come; None: it is made in memory.
 
     Returns:
         The map. Its origin is where the robot was at the first scan; its axes are the robot's then, turned so that
@@ -111,7 +120,7 @@ def build_lidar_map(
     run = map_lidar_run(
         log, settings or LidarSettings(), loops, close=close, phase=phase, checkpoints=checkpoints
     )
-    return fuse_lidar_run(run, run.levelling(), on_pose=on_pose, phase=phase)
+    return fuse_lidar_run(run, run.levelling(), on_pose=on_pose, phase=phase, store=store)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +198,17 @@ def map_lidar_run(
 
 
 def fuse_lidar_run(
-    run: LidarRun, turn: Pose | None, *, on_pose: OnPose | None = None, phase: Phase | None = None
+    run: LidarRun,
+    turn: Pose | None,
+    *,
+    on_pose: OnPose | None = None,
+    phase: Phase | None = None,
+    store: MapStore | None = None,
 ) -> LidarMappingResult:
     """Fuse the scans of a run at its poses, which are turned by ``turn`` (T_map_run) first; None: as they are."""
     log, settings, slam, result = run.log, run.settings, run.slam, run.result
     phase = phase or silent
-    fuser = _Fuser(log, settings, on_pose)
+    fuser = _Fuser(log, settings, on_pose, store)
     chosen = set(run.used)
     poses = [result.pose(k) for k in range(len(run.used))]
     levelled = None if turn is None else float(angles(turn.rotation[None])[0])
@@ -217,7 +231,7 @@ def fuse_lidar_run(
             spatial.compose(spatial.of_pose(turn), result.graph.poses))
     )  # fmt: skip
     return LidarMappingResult(
-        map=fuser.build(run.how),
+        made=fuser.finish(run.how),
         scans=len(run.used),
         matched=slam.matched,
         unmatched=slam.unmatched,
@@ -241,6 +255,7 @@ def fuse_lidar_log(
     tolerance: float = 0.1,
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
+    store: MapStore | None = None,
 ) -> LidarMappingResult:
     """Map a LiDAR's log whose poses (T_map_robot, of the sensor where its mount is not known) are known.
 
@@ -255,6 +270,7 @@ def fuse_lidar_log(
         tolerance: seconds.
         on_pose: called with stamp, pose and True for every scan that has one.
         phase: shows what is being done.
+        store: where the map is written as its rows come; None: it is made in memory.
 
     Raises:
         LogError: the log cannot be read or has no scan.
@@ -271,7 +287,7 @@ def fuse_lidar_log(
         raise TrajectoryError(f"{len(poses)} poses do not go by order with the {count} scans of {log.path}")
     by_order = associate != "time" and len(poses) == count
     mount = log.mount or Pose.identity(3)
-    fuser, unusable = _Fuser(log, settings, on_pose), UnusableScans(log)
+    fuser, unusable = _Fuser(log, settings, on_pose, store), UnusableScans(log)
     placed: list[Pose] = []
     stamps: list[float] = []
     skipped = 0
@@ -299,7 +315,7 @@ def fuse_lidar_log(
             f"none of the {len(poses)} poses is within {tolerance:g} s of one of the {count} scans of {log.path}"
         )
     return LidarMappingResult(
-        map=fuser.build("given"), scans=len(placed), matched=0, unmatched=0, missed=0, skipped=skipped,
+        made=fuser.finish("given"), scans=len(placed), matched=0, unmatched=0, missed=0, skipped=skipped,
         mean_share=math.nan, metres=fuser.recorder.metres, warnings=[*log.warnings, *unusable.warnings], levelled=None,
         poses=Trajectory.from_poses(stamps, [fuser.of_robot(pose) for pose in placed]), slam=None,
     )  # fmt: skip
@@ -308,9 +324,13 @@ def fuse_lidar_log(
 class _Fuser:
     """Fuses scans and passes their poses on."""
 
-    def __init__(self, log: LidarLog, settings: LidarSettings, on_pose: OnPose | None) -> None:
-        self._log, self._settings = log, settings
+    def __init__(
+        self, log: LidarLog, settings: LidarSettings, on_pose: OnPose | None, store: MapStore | None
+    ) -> None:
+        self._log, self._settings, self._store = log, settings, store
         self._builder = settings.make_builder()
+        if store is not None:
+            store.begin(self._builder)
         self._back = None if log.mount is None else log.mount.inverse()
         self.recorder = PoseRecorder(on_pose)
 
@@ -325,8 +345,8 @@ class _Fuser:
         """Return T_map_robot of a pose T_map_sensor."""
         return pose if self._back is None else pose @ self._back
 
-    def build(self, how: str) -> Map:
-        return self._builder.build(source=provenance(self._log, self._settings, how), finish=True)
+    def finish(self, how: str) -> Map | StoredMap:
+        return finished(self._builder, provenance(self._log, self._settings, how), self._store)
 
 
 class _Drawing:

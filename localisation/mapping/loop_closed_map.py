@@ -10,6 +10,7 @@ from typing import TypeAlias
 from hexmap.base.errors import BoundsError, LogError, TooLargeError
 from hexmap.base.values import one_line
 from hexmap.io.logs.log import Log
+from hexmap.io.map_store import MapStore
 from hexmap.poses.scan import Odometry
 from localisation.mapping.checkpoint import Checkpoints
 from localisation.mapping.result import (
@@ -18,6 +19,7 @@ from localisation.mapping.result import (
     PoseRecorder,
     Progress,
     UnusableScans,
+    finished,
     jump_warnings,
     provenance,
 )
@@ -41,6 +43,7 @@ def build_loop_closed_map(
     on_pose: OnPose | None = None,
     phase: Phase | None = None,
     checkpoints: Checkpoints | None = None,
+    store: MapStore | None = None,
 ) -> MappingResult:
     """Map a log by scan matching, with its loops closed.
 
@@ -53,6 +56,7 @@ def build_loop_closed_map(
         phase: shows what is being done; it is entered for each phase, and what it yields is called with the number of
             scans that are done.
         checkpoints: where the run keeps what it knows, and finds what one that was killed has left.
+        store: where the map is written as its rows come; None: it is made in memory.
 
     Returns:
         The map, in the frame of the first pose, with what was found of loops in ``slam``.
@@ -64,7 +68,7 @@ def build_loop_closed_map(
     """
     settings = settings or MappingSettings()
     run = map_run(log, settings, loops, phase=phase, checkpoints=checkpoints)
-    return fuse_run(run, settings, on_pose=on_pose, phase=phase)
+    return fuse_run(run, settings, on_pose=on_pose, phase=phase, store=store)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +141,19 @@ def map_run(
 
 
 def fuse_run(
-    run: MappedRun, settings: MappingSettings, *, on_pose: OnPose | None = None, phase: Phase | None = None
+    run: MappedRun,
+    settings: MappingSettings,
+    *,
+    on_pose: OnPose | None = None,
+    phase: Phase | None = None,
+    store: MapStore | None = None,
 ) -> MappingResult:
-    """Fuse the scans of a run at its poses."""
+    """Fuse the scans of a run at its poses: arguments as of :func:`build_loop_closed_map`."""
     log, slam, result = run.log, run.slam, run.result
     phase = phase or silent
     builder = make_builder(settings)
+    if store is not None:
+        store.begin(builder)
     recorder = PoseRecorder(on_pose)
     scans = iter(result.scans)
     with phase("fusing", lambda: builder.scans / len(result.scans)) as progress:
@@ -153,7 +164,7 @@ def fuse_run(
                 builder.fuse(next(scans).scan(), pose @ slam.mount)
                 progress(builder.scans)
     return MappingResult(
-        map=builder.build(source=provenance(log, settings, "scan matching with loop closure"), finish=True),
+        made=finished(builder, provenance(log, settings, "scan matching with loop closure"), store),
         scans=len(result.scans),
         odometry=log.odometry,
         matched=slam.matched,

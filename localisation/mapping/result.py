@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from hexmap.base.values import one_line
 from hexmap.io.fingerprint import fingerprint
 from hexmap.io.lidar.lidar_log import LidarLog
 from hexmap.io.logs.log import Log
+from hexmap.io.map_store import MapStore, StoredMap
+from hexmap.maps.builder import MapBuilder
 from hexmap.maps.map import Map
 from hexmap.poses.pose import Pose
 from hexmap.poses.scan import Event
@@ -31,7 +34,7 @@ class MappingResult:
     """A finished map and what was counted on the way.
 
     Attributes:
-        map: the map.
+        made: the map, or where it was written.
         scans: laser readings fused.
         odometry: odometry readings seen.
         matched: scans that were matched (the first has nothing to be matched against).
@@ -43,7 +46,7 @@ class MappingResult:
         slam: the graph, the loops and how sure each pose is, where loops were closed.
     """
 
-    map: Map
+    made: Map | StoredMap
     scans: int
     odometry: int
     matched: int
@@ -55,6 +58,21 @@ class MappingResult:
     slam: SlamResult | None = None
 
     __repr__ = one_line
+
+    @cached_property
+    def map(self) -> Map:
+        """The map; one that was written is read again."""
+        return whole(self.made)
+
+
+def whole(made: Map | StoredMap) -> Map:
+    """Return a map, read again where it was written."""
+    return made.load() if isinstance(made, StoredMap) else made
+
+
+def finished(builder: MapBuilder, source: Mapping[str, Any], store: MapStore | None) -> Map | StoredMap:
+    """Return the map of a builder, which is empty then: in memory, or where ``store`` has written it."""
+    return builder.build(source=source, finish=True) if store is None else store.finish(builder, source)
 
 
 class UnusableScans:

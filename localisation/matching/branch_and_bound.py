@@ -149,7 +149,7 @@ class BranchAndBound:
         return math.prod(int(v) for v in np.maximum(0, high - low + 1)) * self.rotations.count * tilts
 
     def _arcs(self, room: int) -> Any:
-        """Return empty slots; the arrays are kept for the next scan of the thread."""
+        """Return empty slots; the memory is kept for the next search of the thread."""
         count, n = self.points.shape
         slots = max(64, min(_SLOTS, _SLOT_BYTES // (count * n * 4)))
         exact = max(16, min(_EXACT_SLOTS, _EXACT_BYTES // (room * (n * 4 + 20) + count * (n * 4 + 8))))
@@ -160,20 +160,15 @@ class BranchAndBound:
         exact = min(exact, max(16, 2 << cells[0].bit_length()))
         key = (slots, exact, count, n, room)
         scratch = self.space.scratch
-        if getattr(scratch, "key", None) != key:
-            scratch.arcs = self.kernels.Arcs(
-                tag=np.empty(slots, np.int64),
-                covered=np.empty(slots, np.bool_),
-                rows=np.empty((slots, count, n), np.int32),
-                kind=np.empty(count, np.int32),
-                exact_tag=np.empty(exact, np.int64),
-                exact=np.empty((exact, count, n), np.int32),
-                begin=np.empty((exact, count + 1), np.int64),
-                entered=np.empty((exact, room, n), np.int32),
-                angle=np.empty((exact, room), np.float64),
-                owner=np.empty((exact, room), np.int32),
-                order=np.empty((exact, room), np.int64),
-            )
+        if scratch.key != key:
+            shapes = {
+                "tag": ((slots,), np.int64), "covered": ((slots,), np.bool_), "rows": ((slots, count, n), np.int32),
+                "kind": ((count,), np.int32), "exact_tag": ((exact,), np.int64),
+                "exact": ((exact, count, n), np.int32), "begin": ((exact, count + 1), np.int64),
+                "entered": ((exact, room, n), np.int32), "angle": ((exact, room), np.float64),
+                "owner": ((exact, room), np.int32), "order": ((exact, room), np.int64),
+            }  # fmt: skip
+            scratch.arcs = self.kernels.Arcs(**dict(zip(shapes, scratch.arrays(*shapes.values()), strict=True)))
             scratch.key = key
         scratch.arcs.tag[:] = -1
         scratch.arcs.exact_tag[:] = -1

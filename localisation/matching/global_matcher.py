@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.map import Map
 from hexmap.maps.state_rule import StateRule
 from hexmap.maps.voxel_list import VoxelList
@@ -35,7 +36,7 @@ from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.refinement import refine_on
 from localisation.matching.score import coincidence
 from localisation.matching.search_region import SearchRegion
-from localisation.matching.search_space import SearchSpace
+from localisation.matching.search_space import Scratch, SearchSpace
 
 __all__ = ["SPREAD_IN_SPACE", "GlobalMatcher", "match_anywhere", "refined_finely", "spread_points", "thin"]
 
@@ -89,7 +90,9 @@ class GlobalMatcher:
 
     Args:
         pyramid: the weights of the map's cells.
-        known: the cells in which the sensor may be; None: anywhere in the box around the weights.
+        known: the cells in which the sensor may be, or the box of all of them; None: anywhere in the box around the
+            weights.
+        scratch: memory to work in, which matchers of other maps may share.
 
     Attributes:
         space: both, as the search sees them.
@@ -108,11 +111,16 @@ class GlobalMatcher:
         (0, True, True)
     """
 
-    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | None = None) -> None:
+    def __init__(
+        self,
+        pyramid: OccupancyPyramid,
+        known: VoxelList | IndexBox | None = None,
+        scratch: Scratch | None = None,
+    ) -> None:
         """Prepare the tables of the lattice and of the cells in which the sensor may be."""
         self.pyramid = pyramid
         self.lattice = pyramid.lattice
-        self.space = SearchSpace(pyramid, known)
+        self.space = SearchSpace(pyramid, known, scratch)
 
     def __repr__(self) -> str:
         """Show what is searched."""

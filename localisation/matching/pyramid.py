@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError, TooLargeError
+from hexmap.base.sparse_arrays import sparse_zeros
 from hexmap.lattice.lattice import Lattice
 from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.occupancy import Occupancy
@@ -32,9 +33,12 @@ __all__ = [
     "most_spread",
 ]
 
-# Tiles of 4096 entries: those that are never written cost no memory.
-_TILE_BITS = {2: 6, 3: 4}
+# Tiles of 1024 or 4096 entries, in the plane one page of memory: those that are never written cost nothing.
+_TILE_BITS = {2: 5, 3: 4}
 _MOST_ENTRIES = 1 << 31
+# Tables are in small pages from so many bytes on where cells lie in fewer than one of so many tiles: large pages would
+# hold them whole. A submap that sees far over open ground touches a fifth of its tables.
+_SPARSE, _FEW = 1 << 20, 2
 MOST_WEIGHT = 65535
 PARTS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """What the points of a scan move, as parts of what its median point does, for which there are boxes."""
@@ -166,9 +170,10 @@ class OccupancyPyramid:
                 f"than {_MOST_ENTRIES:,}; take a coarser level"
             )
         self._starts = np.cumsum([0, *sizes[:-1]]).tolist()
-        self.cells = np.zeros(self._size(self._cell_grid), np.uint16)
-        self.packed = np.zeros(sum(sizes), np.uint32 if n == 2 else np.uint64)
         addresses = self._addresses(self._cell_grid)
+        large = self._sparse_from(index)
+        self.cells = sparse_zeros(self._size(self._cell_grid), np.uint16, large)
+        self.packed = sparse_zeros(sum(sizes), np.uint32 if n == 2 else np.uint64, large)
         kernels.raise_cells(index, weights.astype(np.uint16), self.low, addresses, self.cells)
         steps = (-(-weights // self.unit)).astype(np.uint8)
         for grid, start in zip(self._grids, self._starts, strict=True):
@@ -191,6 +196,11 @@ class OccupancyPyramid:
         side = 1 << _TILE_BITS[len(shape)]
         # One tile more along each axis: it stays empty, and everything outside has its address there.
         return _Grid(window, apart, step, first, count, -(-count // side) + 1)
+
+    def _sparse_from(self, index: IntArray) -> int | None:
+        """Return from how many bytes on tables are in small pages: at once where most tiles stay empty."""
+        tiles = np.unique((index - self.low) >> _TILE_BITS[self.lattice.dim], axis=0)
+        return _SPARSE if len(tiles) * _FEW < math.prod(int(t) for t in self._cell_grid.tiles) else None
 
     @staticmethod
     def _size(grid: _Grid) -> int:
@@ -245,6 +255,10 @@ class OccupancyPyramid:
             index = self._source.index.astype(np.int64)
             self._sheets[level] = make_sheet(index, steps, level_windows(self.lattice, level), level, beyond)
         return self._sheets[level]
+
+    def forget_sheets(self) -> None:
+        """Give back the memory of all sheets; they are made again when they are asked for."""
+        self._sheets.clear()
 
     def _reaching(self, grid: _Grid, start: int, margin: int, length: int) -> NDArray[np.int32]:
         """Return what each index from ``margin`` before the box on adds to the address, (n, length)."""

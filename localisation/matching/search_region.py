@@ -16,7 +16,7 @@ from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.window import IndexBox, box_coordinates
 from hexmap.maps.voxel_list import VoxelList
 
-__all__ = ["SearchRegion", "SearchWindow", "cells_of_box", "shifts_in_ball"]
+__all__ = ["SearchRegion", "SearchWindow", "box_of_cells", "cells_of_box", "shifts_in_ball"]
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,11 @@ def shifts_in_ball(lattice: Lattice, metres: float) -> IntArray:
 
 def cells_of_box(lattice: Lattice, low: FloatArray, high: FloatArray) -> VoxelList:
     """Return all cells of a box, whose corners (n,) are in metres, and those around it."""
+    return VoxelList.from_cells(box_of_cells(lattice, low, high).cells(), lattice)
+
+
+def box_of_cells(lattice: Lattice, low: FloatArray, high: FloatArray) -> IndexBox:
+    """Return the box of indices of these cells: a large one need not be written down cell by cell."""
     u = box_coordinates(lattice.basis, low, high)
     first, last = np.floor(u.min(axis=0)).astype(np.int64) - 1, np.ceil(u.max(axis=0)).astype(np.int64) + 1
-    return VoxelList.from_cells(IndexBox.of_corners(first, last).cells(), lattice)
+    return IndexBox.of_corners(first, last)

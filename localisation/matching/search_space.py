@@ -7,17 +7,59 @@ import threading
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
+from hexmap.base.sparse_arrays import sparse_zeros
 from hexmap.lattice.lattice import Lattice
+from hexmap.lattice.window import IndexBox
 from hexmap.maps.voxel_list import VoxelList
 from localisation.matching.pyramid import OccupancyPyramid, cell_reach
 from localisation.matching.search_region import SearchRegion
 
-__all__ = ["SearchSpace", "region_box", "scan_arrays", "stops_within"]
+__all__ = ["Scratch", "SearchSpace", "region_box", "scan_arrays", "stops_within"]
 
 # Lanes of 16 bits add up 257 times a byte.
 _LANE = 257
+# Bytes of a line of the processor's cache.
+_LINE = 64
+
+
+class Scratch(threading.local):
+    """Memory that the searches of a thread work in, one after the other; it keeps what was touched of it.
+
+    Searches of many small maps share one, where asking the system for it anew would take as long as some of them.
+
+    Args:
+        sparse: whether it is in small pages: most slots are filled to a part.
+    """
+
+    def __init__(self, sparse: bool = False) -> None:
+        """Ask for nothing yet; each thread has its own."""
+        self._sparse = sparse
+        self.key: tuple[int, ...] | None = None
+        self.arcs: Any = None
+        self._memory: NDArray[np.uint8] | None = None
+
+    def __reduce__(self) -> tuple[type[Scratch], tuple[bool]]:
+        """Pickle nothing of it: it is made anew."""
+        return Scratch, (self._sparse,)
+
+    def arrays(self, *kinds: tuple[tuple[int, ...], DTypeLike]) -> list[NDArray[Any]]:
+        """Return arrays of these shapes and types, which hold anything, in place of those returned before."""
+        sizes = [-(-math.prod(shape) * np.dtype(kind).itemsize // _LINE) * _LINE for shape, kind in kinds]
+        if self._memory is None or len(self._memory) < sum(sizes):
+            self.give_back()
+            self._memory = sparse_zeros(sum(sizes), np.uint8, 0) if self._sparse else np.empty(sum(sizes), np.uint8)
+        ends = np.cumsum([0, *sizes]).tolist()
+        return [
+            self._memory[begin : begin + math.prod(shape) * np.dtype(kind).itemsize].view(kind).reshape(shape)
+            for begin, (shape, kind) in zip(ends, kinds, strict=False)
+        ]
+
+    def give_back(self) -> None:
+        """Give the memory back to the system."""
+        self.key = self.arcs = self._memory = None
 
 
 class SearchSpace:
@@ -25,14 +67,18 @@ class SearchSpace:
 
     Args:
         pyramid: the weights of the map's cells.
-        known: the cells in which the sensor may be; None: anywhere in the box around the weights.
+        known: the cells in which the sensor may be, or the box of all of them; None: anywhere in the box around the
+            weights.
+        scratch: memory to work in, which searches of other spaces may share.
 
     Attributes:
         low: (n,) the lowest indices of those cells.
         high: (n,) the highest.
     """
 
-    def __init__(self, pyramid: OccupancyPyramid, known: VoxelList | None) -> None:
+    def __init__(
+        self, pyramid: OccupancyPyramid, known: VoxelList | IndexBox | None, scratch: Scratch | None = None
+    ) -> None:
         """Prepare the tables of the lattice and of the cells in which the sensor may be."""
         from localisation.matching import _global_kernels as kernels
         from localisation.matching import _pyramid_kernels
@@ -53,17 +99,20 @@ class SearchSpace:
             self.low, self.high = pyramid.low, pyramid.high
             self.allowed = (np.zeros(0, np.uint8), self.low, np.zeros(1, np.int64), np.zeros((1, n), np.int64))
         else:
-            index = known.index.astype(np.int64)
-            self.low = index.min(axis=0) if len(index) else np.zeros(n, np.int64)
-            self.high = index.max(axis=0) if len(index) else np.zeros(n, np.int64)
+            index = np.empty((0, n), np.int64)
+            if isinstance(known, IndexBox):
+                self.low, self.high = known.low, known.low + known.shape - 1
+            else:
+                index = known.index.astype(np.int64)
+                self.low = index.min(axis=0) if len(index) else np.zeros(n, np.int64)
+                self.high = index.max(axis=0) if len(index) else np.zeros(n, np.int64)
             shapes = [((self.high - self.low) >> level) + 1 for level in range(pyramid.levels + 1)]
-            marked = []
+            starts = np.cumsum([0, *[math.prod(int(s) for s in shape) for shape in shapes]])
+            marked = np.full(starts[-1], isinstance(known, IndexBox), np.uint8)
             for level, shape in enumerate(shapes):
-                marked.append(np.zeros(math.prod(int(s) for s in shape), np.uint8))
-                _pyramid_kernels.mark_blocks(index, self.low, level, shape, marked[-1])
-            starts = np.cumsum([0, *[len(m) for m in marked[:-1]]])
-            self.allowed = (np.concatenate(marked), self.low, starts, np.array(shapes))
-        self.scratch = threading.local()
+                _pyramid_kernels.mark_blocks(index, self.low, level, shape, marked[starts[level] : starts[level + 1]])
+            self.allowed = (marked, self.low, starts[:-1], np.array(shapes))
+        self.scratch = scratch or Scratch()
 
 
 def scan_arrays(space: SearchSpace, points: FloatArray, weights: IntArray) -> Any:

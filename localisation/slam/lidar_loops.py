@@ -19,7 +19,7 @@ from hexmap.poses.pose import Pose
 from hexmap.poses.rotations import angles
 from localisation.matching.global_matcher import GlobalMatcher
 from localisation.matching.match import Match
-from localisation.matching.search_region import SearchRegion, cells_of_box
+from localisation.matching.search_region import SearchRegion, box_of_cells
 from localisation.matching.surfaces import Drawn
 from localisation.slam import spatial
 from localisation.slam.lidar_submap import LevelSubmap, LidarSubmap, SubmapShelf
@@ -184,7 +184,7 @@ class LidarLoopCloser(LoopSearch):
         tilt = min(sigmas * radians, _MOST_TILT)
         # Drawing takes up a tilt that moves points by a cell.
         tilt = tilt if tilt * reach > cell else 0.0
-        matcher = GlobalMatcher(old.pyramid, cells_of_box(old.pyramid.lattice, low, high))
+        matcher = GlobalMatcher(old.pyramid, box_of_cells(old.pyramid.lattice, low, high))
         return matcher.match(
             new.searched,
             SearchRegion(low, high, yaw, min(math.pi, sigmas * radians + cell / reach), tilt),

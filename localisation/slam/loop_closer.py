@@ -13,15 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from hexmap.base.arrays import FloatArray, IntArray
-from hexmap.lattice.lattice import Lattice
-from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose, wrap_angle
 from localisation.matching.global_matcher import GlobalMatcher
 from localisation.matching.information import score_covariance
 from localisation.matching.match import Match
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.refinement import refine_on
-from localisation.matching.search_region import SearchRegion
+from localisation.matching.search_region import SearchRegion, box_of_cells
 from localisation.slam import planar
 from localisation.slam.loop_search import Candidate, LoopRecord, LoopSearch
 from localisation.slam.pose_graph import PoseGraph
@@ -214,7 +212,7 @@ class LoopCloser(LoopSearch):
         """Search a submap in the window of so many metres and radians to both sides of a pose (3,)."""
         sides, yaw = window
         low, high = pose[:2] - sides, pose[:2] + sides
-        matcher = GlobalMatcher(pyramid, _box(pyramid.lattice, low, high))
+        matcher = GlobalMatcher(pyramid, box_of_cells(pyramid.lattice, low, high), self._cells.scratch)
         return matcher.match(
             some_points(new.points, _MOST_POINTS),
             SearchRegion(low, high, float(pose[2]), yaw),
@@ -236,15 +234,6 @@ def some_points(points: FloatArray, most: int) -> FloatArray:
 
 def _reach(points: FloatArray) -> float:
     return math.sqrt(float((points**2).sum(axis=1).max())) if len(points) else 0.0
-
-
-def _box(lattice: Lattice, low: FloatArray, high: FloatArray) -> VoxelList:
-    """Return all cells of a box, whose corners are in metres, and those around it."""
-    corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
-    u = corners @ np.linalg.inv(lattice.basis).T
-    first, last = np.floor(u.min(axis=0)).astype(np.int64) - 1, np.ceil(u.max(axis=0)).astype(np.int64) + 1
-    grids = np.meshgrid(*[np.arange(a, b + 1) for a, b in zip(first, last, strict=True)], indexing="ij")
-    return VoxelList.from_cells(np.stack([g.ravel() for g in grids], axis=1), lattice)
 
 
 def _agreement(old: Cells, new: Cells, pose: Pose) -> tuple[int, float, float]:

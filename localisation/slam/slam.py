@@ -261,6 +261,7 @@ class Slam:
         self._link(submap, number, motion, match is not None)
         if self.closer.look(before):
             self.graph.optimise()
+        self._cells.scratch.give_back()
         self._follow(local)
 
     def _stretch(self, first: int, last: int, motion: FloatArray) -> Stretch:
@@ -399,6 +400,8 @@ class Slam:
                 scans.append(
                     (self.scans[number].scan(), planar.to_pose(self.graph.pose(k)) @ T_node_robot @ self.mount)
                 )
+        # The old one is let go of first: two of them would be the most that a run needs.
+        self._odometry.match_against(LocalMap(self.settings).builder)
         number = self._node_scans[-1]
         scans.append((self.scans[number].scan(), planar.to_pose(self.graph.pose(last)) @ self.mount))
         self._local.renew(scans)

@@ -30,6 +30,7 @@ from localisation.matching.global_matcher import thin
 from localisation.matching.occupancy import Occupancy
 from localisation.matching.pyramid import OccupancyPyramid
 from localisation.matching.score import coincidence
+from localisation.matching.search_space import Scratch
 from localisation.slam import planar
 
 __all__ = ["Cells", "CompactScan", "Stretch", "Submap", "SubmapCells", "compact", "in_view", "make_stretch"]
@@ -40,6 +41,10 @@ _FREE_SCANS = 8
 _NEAR = 0.98
 # Levels of a pyramid that windows of so many cells need: its tables are most of a submap's memory.
 SMALL_LEVELS = 3
+# So many submaps, those that were asked for last, are kept as cells: out of doors each takes 10 MB at 0.05 m. Half as
+# many again would save a quarter of what is made again. The last ones keep their sheets, too, which are as large: half
+# of the sheets that are asked for again are younger.
+_KEPT, _WITH_SHEETS = 8, 5
 SMALL_WINDOW = 64
 
 
@@ -253,6 +258,13 @@ class Cells:
         return passed.select(~self.walls.contains(passed.index))
 
 
+    def forget_sheets(self) -> None:
+        """Give back the memory of the tables that searches have asked for, which are made again when they are."""
+        for name in ("pyramid", "wide_pyramid"):
+            if name in self.__dict__:
+                self.__dict__[name].forget_sheets()
+
+
 class SubmapCells:
     """Makes the cells of submaps, and keeps those that were asked for last."""
 
@@ -262,12 +274,13 @@ class SubmapCells:
         searched: Lattice,
         rule: StateRule,
         scan_of: Callable[[int], tuple[Scan, Pose]],
-        kept: int = 12,
+        kept: int = _KEPT,
     ) -> None:
         """Take the lattices, and what gives a scan by its number with its pose T_node_sensor seen from its node."""
         self.lattice, self.wide = searched, searched.scaled(2.0)
         self.fine, self._rule, self.scan_of, self._kept = fine, rule, scan_of, kept
         self._cells: OrderedDict[int, Cells] = OrderedDict()
+        self.scratch = Scratch(sparse=True)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the cells, which are made again when they are asked for, and who gives the scans."""
@@ -277,16 +290,18 @@ class SubmapCells:
         """Return the cells of a submap."""
         if submap.number in self._cells:
             self._cells.move_to_end(submap.number)
-            return self._cells[submap.number]
-        cells = Cells(submap, self)
-        self._cells[submap.number] = cells
+        else:
+            self._cells[submap.number] = Cells(submap, self)
         if len(self._cells) > self._kept:
             self._cells.popitem(last=False)
-        return cells
+        for cells in list(self._cells.values())[:-_WITH_SHEETS]:
+            cells.forget_sheets()
+        return self._cells[submap.number]
 
     def forget(self) -> None:
-        """Give back the memory of all cells; they are made again when they are asked for."""
+        """Give back the memory of all cells and of what searched in them; both are made again when they are needed."""
         self._cells.clear()
+        self.scratch.give_back()
 
     def passed(self, submap: Submap) -> VoxelList:
         """Return the cells without a wall that beams of some of a submap's scans went through."""

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.sparse_arrays import sparse_zeros
 from hexmap.lattice.lattice import Lattice
 from planners.path import NoPath, Path, cells_to_flat, clearances, make_path, measure, not_connected
 from planners.search.astar import MOST_MOVES, astar
-from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph

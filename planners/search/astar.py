@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import FloatArray, IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.sparse_arrays import sparse_zeros
 from planners.path import NoPath, Path, cells_to_flat, make_path, not_connected
 from planners.search.heuristics import gauge_planes, least_terrain
 from planners.search.nearest import nearest_reachable
 from planners.search.pruning import onward_moves
-from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph

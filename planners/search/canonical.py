@@ -47,12 +47,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from hexmap.base.arrays import IntArray
 from hexmap.base.errors import ArgumentError
+from hexmap.base.sparse_arrays import sparse_zeros
 from hexmap.lattice import window
 from planners.path import NoPath, Path, cells_to_flat, make_path
 from planners.search.canonical_order import canonical_ordering
 from planners.search.heuristics import gauge_planes
 from planners.search.offsets import offset_vectors
-from planners.search.sparse_arrays import sparse_zeros
 
 if TYPE_CHECKING:
     from hexmap.graph.lattice_graph import LatticeGraph

@@ -125,6 +125,15 @@ def test_given_poses_need_no_odometry(
     )
 
 
+def test_a_folder_of_tiles_is_the_file_cut_into_tiles(run: Path, tmp_path: Path) -> None:
+    given = ("--poses", run / "run.tum", *QUICK)
+    assert call("build", run / "run", "-o", tmp_path / "m.parquet", *given) == 0
+    assert call("merge", tmp_path / "m.parquet", "-o", tmp_path / "cut", "--tiles", 6) == 0
+    assert call("build", run / "run", "-o", tmp_path / "tiles", "--tiles", 6, *given) == 0
+    cut, tiles = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("cut", "tiles"))
+    assert cut == tiles and len(cut) > 2
+
+
 @pytest.mark.parametrize(
     "options",
     [

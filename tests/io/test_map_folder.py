@@ -56,7 +56,7 @@ def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make everything that is a few rows at a time a few rows: what holds of a hundred rows then holds of all."""
     monkeypatch.setattr(tile_merge, "_BATCH", 37)
     monkeypatch.setattr(tile_merge, "_LEAST_BATCH", 37)
-    monkeypatch.setattr(tile_merge, "_SIDE_BY_SIDE", 4)
+    monkeypatch.setattr(tile_merge, "SIDE_BY_SIDE", 4)
     monkeypatch.setattr(tile_writer, "_GROUP", 23)
     monkeypatch.setattr("hexmap.io.map_file._GROUP", 101)
 

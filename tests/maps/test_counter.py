@@ -14,6 +14,7 @@ from hexmap.base.errors import BoundsError, TooLargeError
 from hexmap.lattice.lattice import Lattice
 from hexmap.lattice.rays import traverse
 from hexmap.maps.counter import HITS, PASSES, CellCounter
+from hexmap.maps.map import Level
 from hexmap.maps.voxel_list import VoxelList
 from tests.lattices import CASES, EXAMPLES, JIT, Case
 
@@ -41,6 +42,25 @@ def test_counts_and_lists_equal_a_dictionary(case: Case) -> None:
         check_list(counter, expected[channel], channel)
         asked = rng.integers(-45, 45, (500, case.dim)).astype(np.int32)
         assert counter.find(asked, channel).tolist() == [expected[channel][tuple(c)] for c in asked.tolist()]
+
+
+@each
+@pytest.mark.parametrize("layer", [1, 1 << 18], ids=["layer by layer", "tile by tile"])
+def test_rows_are_the_cells_of_both_lists_in_one_order(
+    case: Case, layer: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hexmap.maps.counter._LAYER", layer)
+    rng = np.random.default_rng(3)
+    counter = CellCounter(case.lattice)
+    assert list(counter.rows()) == [] and counter.nbytes == 0
+    for channel in (HITS, PASSES):
+        counter.add(rng.integers(-20, 20, (400, case.dim)).astype(np.int32) * (1 + channel), channel)
+    found = list(counter.rows())
+    keys, hits, passes = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    expected = Level(counter.to_list(HITS), counter.to_list(PASSES)).columns()
+    for column, wanted in zip((keys, hits, passes), expected, strict=True):
+        assert column.dtype == np.int64 and column.tolist() == wanted.tolist()
+    assert len(found) > 1 and counter.nbytes > 0
 
 
 @each

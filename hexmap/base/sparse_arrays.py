@@ -1,4 +1,4 @@
-"""Arrays that cost what is touched of them, for searches that see little of a large window."""
+"""Arrays that cost what is touched of them, for work that sees little of a large window."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ __all__ = ["sparse_zeros"]
 _LARGE = 64 << 20
 
 
-def sparse_zeros(size: int, dtype: DTypeLike) -> NDArray[Any]:
-    """Return zeros (size,), in small pages where they are many.
+def sparse_zeros(size: int, dtype: DTypeLike, large: int | None = None) -> NDArray[Any]:
+    """Return zeros (size,), in small pages where they are many: ``large`` bytes or more, 64 MiB where it is not said.
 
     numpy asks for pages of 2 MiB, each of which is cleared as a whole when one cell of it is written. A
     path through a large window touches a few cells of very many of them: on a map of 89 million cells
@@ -24,7 +24,7 @@ def sparse_zeros(size: int, dtype: DTypeLike) -> NDArray[Any]:
     """
     kind = np.dtype(dtype)
     length = size * kind.itemsize
-    if length < _LARGE or not sys.platform.startswith("linux"):
+    if length < max(1, _LARGE if large is None else large) or not sys.platform.startswith("linux"):
         return np.zeros(size, kind)
     pages = mmap.mmap(-1, length, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     pages.madvise(mmap.MADV_NOHUGEPAGE)

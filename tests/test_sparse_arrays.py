@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planners.search import sparse_arrays
+from hexmap.base import sparse_arrays
 
 
 @pytest.mark.parametrize("size", [1, 1000, 3_000_001])
