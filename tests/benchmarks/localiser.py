@@ -174,6 +174,10 @@ def _quantiles(values: Sequence[float]) -> str:
 # ---------------------------------------------------------------------- without a start pose
 
 
+# Metres of the log after an instant: where it ends sooner, there may be nothing to tell the corridor's places apart.
+_LEFT = 25.0
+
+
 @dataclass(frozen=True)
 class Found:
     """What came of one instant: scans until the first answer (None: none), and of those placed the right and wrong."""
@@ -187,6 +191,7 @@ class Found:
     scans: int
     overlap: float
     lost: int
+    left: float  # metres of the log from there on
 
 
 def _length(run: Run, first: int, metres: float) -> int:
@@ -213,14 +218,15 @@ def _from_instant(run: Run, first: int, length: int, settings: LocaliserSettings
     return Found(
         until, _metres(run.scans[first : first + (until or 0)]), seconds, bool(judged and judged[0]), sum(judged),
         len(judged) - sum(judged), min(length, len(run.scans) - first), float(np.mean(overlaps or [0.0])),
-        localiser.times_lost,
+        localiser.times_lost, _metres(run.scans[first : first + length]),
     )  # fmt: skip
 
 
 def wean(cache: Path, sizes: Sizes) -> None:
     """Print how soon and how rightly the robot is found in Wean Hall."""
     rows: list[list[object]] = [[
-        "Wean Hall", "instants", "right", "wrong", "never", "m, median / 90 %", "s of the drive", "CPU s",
+        "Wean Hall", "instants", "right", "wrong", "never", f"right with {_LEFT:g} m to go", "m, median / 90 %",
+        "s of the drive", "CPU s",
         "scans placed", "right of placed", "points explained", "times lost",
     ]]  # fmt: skip
     for number in sizes.logs:
@@ -236,6 +242,7 @@ def wean(cache: Path, sizes: Sizes) -> None:
         first_right = sum(f.first_right for f in done)
         rows.append([
             f"log {number}", len(found), first_right, len(done) - first_right, len(found) - len(done),
+            f"{sum(f.first_right for f in found if f.left >= _LEFT)} of {sum(f.left >= _LEFT for f in found)}",
             _quantiles([f.metres for f in done]), _quantiles(seconds), _quantiles([f.seconds for f in found]),
             f"{100.0 * placed / max(1, sum(f.scans for f in found)):.1f} %", f"{100.0 * right / max(1, placed):.1f} %",
             float(np.mean([f.overlap for f in done] or [0.0])), sum(f.lost for f in done),
