@@ -54,10 +54,13 @@ def _create_beside(target: Path) -> Path:
         temporary = target.with_name(f".{target.stem[:100]}.{os.getpid()}-{os.urandom(4).hex()}{target.suffix}")
         try:
             # 0o666 less the umask, which is what open() gives; tempfile would give 0600.
-            fd = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         except FileExistsError:
             continue
-        os.close(fd)
+        except BaseException:  # Ctrl-C, when the file has been made and nobody knows of it yet
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
         return temporary
 
 

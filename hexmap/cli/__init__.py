@@ -9,11 +9,27 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
-__all__ = ["main"]
+__all__ = ["main", "program"]
+
+# Seconds after which a signal is looked at again that came where Python drops what a handler raises.
+_AGAIN = 0.02
+
+
+def program() -> NoReturn:
+    """Run the command of the command line, and end this process with its exit code."""
+    code = main()
+    if code > 128:
+        # Where an interrupt met a text that was being executed (a dataclass being made), Python remembers it, and at
+        # its own end it would replace the exit code.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,6 +48,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = number
+        if _is_called_by_llvm(frame):
+            again = threading.Timer(_AGAIN, signal.raise_signal, (number,))
+            again.daemon = True
+            again.start()
+            return
         raise KeyboardInterrupt
 
     before: dict[int, Any] = {}
@@ -61,3 +82,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _stopped(number: int) -> int:
     sys.stderr.write("\nhexmap: stopped; what was not yet announced as written is as it was\n")
     return 128 + (number or signal.SIGINT)
+
+
+def _is_called_by_llvm(frame: FrameType | None) -> bool:
+    """Tell whether the frame is within a call of the kernels' compiler: what is raised there is dropped, or worse."""
+    while frame is not None:
+        if f"{os.sep}llvmlite{os.sep}" in frame.f_code.co_filename:
+            return True
+        frame = frame.f_back
+    return False

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -341,3 +342,18 @@ def test_without_a_place_for_compiled_kernels_it_runs_and_says_so(tmp_path: Path
         done.stderr.count("\n") == 1
     )
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_ctrl_c_within_the_compiler_of_kernels_comes_a_moment_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    after: list[int] = []
+    words = "signal.raise_signal(signal.SIGINT); after.append(1)"
+    called = compile(words, f"{os.sep}llvmlite{os.sep}binding.py", "exec")
+
+    def run(arguments: list[str]) -> int:
+        exec(called, {"signal": signal, "after": after})
+        time.sleep(20.0)
+        return 0
+
+    monkeypatch.setattr("hexmap.cli.commands.run", run)
+    # What is raised in a call from C would be dropped, and the command would go on.
+    assert call("info") == 130 and after == [1]
