@@ -81,15 +81,19 @@ def localise_log(
     localiser: Localiser | None = None
     counted = TrackCounter(str(log.path), on_estimate, progress)
     metres = 0.0
-    odometry: Pose | None = None
+    reading: Pose | None = None
+    before: Pose | None = None
     for event in log:
         if localiser is None:
             localiser = Localiser(world, settings, mount=mount or log.mount, start=start, rule=rule, level=level)
-        reading = event.odometry if isinstance(event, Scan) else event.pose
-        if reading is not None:
-            if odometry is not None and counted.scans_until is None and counted.scans:
-                metres += math.dist(odometry.translation, reading.translation)
-            odometry = reading
+        if not isinstance(event, Scan):
+            reading = event.pose
+        else:
+            # From scan to scan: a scan's own reading is older than the lines around it, and to and fro is no way.
+            at = event.odometry if event.odometry is not None else reading
+            if at is not None and before is not None and counted.scans_until is None and counted.scans:
+                metres += math.dist(before.translation, at.translation)
+            before = at
         try:
             estimate = localiser.add(event)
         except BoundsError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import cache
 
@@ -15,11 +16,12 @@ from hexmap.maps.map import Map
 from hexmap.maps.state_rule import States
 from hexmap.maps.voxel_list import VoxelList
 from hexmap.poses.pose import Pose
-from hexmap.poses.scan import Scan
+from hexmap.poses.scan import Odometry, Scan
 from hexmap.simulator.buildings import Building, make_building
 from hexmap.simulator.events import SimulatedEvent, simulate
 from localisation.localiser import localiser as localiser_module
 from localisation.localiser.estimate import Estimate, TrackState
+from localisation.localiser.localise_log import localise_log
 from localisation.localiser.localiser import Localiser
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.global_matcher import GlobalMatcher
@@ -347,3 +349,21 @@ def test_what_does_not_fit_is_said() -> None:
         LocaliserSettings(explained=1.5)
     with pytest.raises(ArgumentError, match="dimension"):
         Localiser(world, mount=Pose.identity(3))
+
+
+def test_the_way_until_the_robot_is_found_is_not_counted_to_and_fro() -> None:
+    # Lines of odometry between scans are newer than the reading that comes with the next scan.
+    world, moments = room()
+    moments = moments[70:100]
+    events: list[Scan | Odometry] = []
+    for m, after in itertools.pairwise(moments):
+        events += [m.event, *(Odometry(e.stamp, e.odometry) for e in (after.event, m.event))]
+
+    class Drive(list):  # what localise_log takes of a log
+        path, mount, warnings = "a drive", None, ()
+
+    places: list[Estimate] = []
+    track = localise_log(Drive(events), world, on_estimate=places.append)
+    assert track.scans_until is not None
+    way = [m.event.odometry.translation for m in moments[: track.scans_until]]
+    assert track.metres_until == pytest.approx(sum(map(math.dist, way[1:], way)), abs=1e-9)
