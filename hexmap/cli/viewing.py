@@ -308,7 +308,7 @@ def crop(
     map: MapFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Where to write the part (.parquet).")],
     box: Annotated[
-        str, typer.Option(help="Opposite corners: x,y,x,y or, in space, x,y,z,x,y,z, m.", metavar="X,Y,X,Y")
+        str, typer.Option(help="Low corner, then high corner, m: x,y,x,y; in space x,y,z,x,y,z.", metavar="X,Y,X,Y")
     ],
 ) -> None:
     """Cut a part out of a map; of a map of tiles only those are read that the box meets."""
