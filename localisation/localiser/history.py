@@ -19,7 +19,7 @@ from hexmap.base.values import one_line
 from hexmap.poses.pose import Pose
 from localisation.localiser.evidence import LOUDEST, Evidence, fits, log_odds
 from localisation.localiser.fusion import fuse
-from localisation.localiser.place import Place
+from localisation.localiser.place import UNSEEN, Place, mean_of, see
 from localisation.localiser.place_matcher import PlaceMatcher
 from localisation.localiser.settings import LocaliserSettings
 
@@ -113,7 +113,7 @@ class History:
         if not self._seen:
             return True
         at = place.pose, place.covariance
-        settled, said, scans, metres = self._seen[0].credit, 0.0, 0, 0.0
+        settled, view = self._seen[0].credit, UNSEEN
         judged, track = list(place.judged), list(place.track)
         for seen in reversed(self._seen):
             pose, P = self._near.carry_on(at, since.way.inverse(), since.driven, measured=since.measured)
@@ -125,13 +125,12 @@ class History:
             judged.insert(0, Evidence.of_match(len(seen.points), match))
             share = 0.0 if match is None else match.fraction
             agrees = fits(judged[: self._settings.patience], self._settings, tracked=True)
-            said += log_odds(share, seen.best, len(seen.points)) if agrees else -LOUDEST
-            scans, metres = scans + 1, metres + since.driven[0]
-            if metres >= seen.view_metres:
-                settled, said, scans, metres = settled + said / scans, 0.0, 0, 0.0
+            said = log_odds(share, seen.best, len(seen.points)) if agrees else -LOUDEST
+            over, view = see(view, said, since.driven[0], seen.view_metres)
+            settled += over
             if settled < hopeless:
                 return False
             since = seen.since
-        place.settled = settled + said / max(1, scans)
+        place.settled = settled + mean_of(view)
         place.judged, place.track = judged, track
         return True

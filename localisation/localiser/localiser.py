@@ -24,7 +24,7 @@ from localisation.localiser.estimate import Estimate, Hypothesis, TrackState
 from localisation.localiser.evidence import LOUDEST, Evidence, fits, log_odds, meets
 from localisation.localiser.fusion import difference, fuse, move_point
 from localisation.localiser.history import History, Step
-from localisation.localiser.place import Place
+from localisation.localiser.place import UNSEEN, Place
 from localisation.localiser.place_matcher import PlaceMatcher
 from localisation.localiser.settings import LocaliserSettings
 from localisation.matching.beams import contradicted_share
@@ -203,7 +203,7 @@ class Localiser:
         if meets(self._last_of(place), self.settings):
             apart = self.settings.apart
             place.settled = place.latest = 0.0
-            place.view = (0.0, 0, 0.0)
+            place.view = UNSEEN
             place.covariance = self._covariance
             place.track.clear()
             place.begin_anew()
@@ -237,7 +237,7 @@ class Localiser:
                 place.settle(view_metres)
         best = self._places[0]
         step = Step(best.way, best.driven, motion is not None)
-        credit = max(place.settled + place.view[0] / max(1, place.view[1]) for place in self._places)
+        credit = max(place.so_far for place in self._places)
         kept: list[Place] = []
         for place in self._places:
             before = place.pose

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,7 +13,25 @@ from hexmap.poses.pose import Pose
 from localisation.localiser.evidence import Evidence
 from localisation.matching.match import Match
 
-__all__ = ["Place"]
+__all__ = ["UNSEEN", "Place", "View", "mean_of", "see"]
+
+View: TypeAlias = tuple[float, int, float]
+UNSEEN: View = (0.0, 0, 0.0)
+
+
+def see(view: View, said: float, driven: float, view_metres: float) -> tuple[float, View]:
+    """Add to a view what a scan said; return what is settled by it, if the view is over, and the view that goes on.
+
+    Scans of one view show the same walls and the same people: together they say what they say on average. It is over
+    when the robot has driven ``view_metres``.
+    """
+    view = view[0] + said, view[1] + 1, view[2] + driven
+    return (mean_of(view), UNSEEN) if view[2] >= view_metres else (0.0, view)
+
+
+def mean_of(view: View) -> float:
+    """Return what a view has said so far."""
+    return view[0] / max(1, view[1])
 
 
 @dataclass(eq=False)
@@ -46,7 +65,7 @@ class Place:
     motion: Pose
     driven: tuple[float, float] = (0.0, 0.0)
     settled: float = 0.0
-    view: tuple[float, int, float] = (0.0, 0, 0.0)
+    view: View = UNSEEN
     latest: float = 0.0
     judged: list[Evidence] = field(default_factory=list)
     match: Match | None = None
@@ -81,18 +100,18 @@ class Place:
         return float(np.linalg.norm(self.way.translation))
 
     @property
+    def so_far(self) -> float:
+        """The likelihood of before the last scan."""
+        return self.settled + mean_of(self.view)
+
+    @property
     def likelihood(self) -> float:
         """Logarithm of how likely this place is, but for a constant."""
         said, scans, _ = self.view
         return self.settled + (said + self.latest) / (scans + 1)
 
     def settle(self, view_metres: float) -> None:
-        """Take what the last scan said as said; the view is over when the robot has driven so many metres.
-
-        Scans of one view show the same walls and the same people: together they say what they say on average.
-        """
-        said, scans, metres = self.view[0] + self.latest, self.view[1] + 1, self.view[2] + self.driven[0]
-        self.view = said, scans, metres
-        if metres >= view_metres:
-            self.settled, self.view = self.settled + said / scans, (0.0, 0, 0.0)
+        """Take what the last scan said as said; the view is over when the robot has driven so many metres."""
+        over, self.view = see(self.view, self.latest, self.driven[0], view_metres)
+        self.settled += over
         self.latest = 0.0
